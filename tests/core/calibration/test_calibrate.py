@@ -8,15 +8,11 @@ from tactune.core.calibration import calibrate
 from tactune.core.calibration.geometry import Alignment
 from tactune.core.calibration.quality import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
 from tactune.core.calibration.recheck import compare_alignments, is_worse
-from tactune.core.contact import pipeline as pipeline_module
-from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
 from tactune.core.preset import Preset
 from tactune.core.preset.file import preset_from_text, preset_json
 
-CLEAN = ClickNoise(0.0, 0.0, 0.0)
 RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
 
 
@@ -40,17 +36,17 @@ def usual(rig):
 
 
 def test_many_pairs_take_seconds_also_where_they_contradict_each_other(rig):
-    """Of 20,000 pairs 70 % are right."""
+    """Of 6,000 pairs 70 % are right."""
     rng = np.random.default_rng(0)
-    tactile = np.column_stack([rng.uniform((80, 80), (560, 400), (20_000, 2)), rng.uniform(0.2, 0.3, 20_000)])
-    proximity = Alignment.of_rig(rig).pixels(rig, tactile) + rng.normal(0, 0.5, (20_000, 2))
-    wrong = np.arange(20_000) % 10 >= 7
+    tactile = np.column_stack([rng.uniform((80, 80), (560, 400), (6000, 2)), rng.uniform(0.2, 0.3, 6000)])
+    proximity = Alignment.of_rig(rig).pixels(rig, tactile) + rng.normal(0, 0.5, (6000, 2))
+    wrong = np.arange(6000) % 10 >= 7
     proximity[wrong] = rng.permutation(proximity[wrong])
     begun = time.process_time()
     report = calibrate([pair_of(i, proximity[i], uv, z) for i, (*uv, z) in enumerate(tactile)], rig)
-    assert time.process_time() - begun < 20
+    assert time.process_time() - begun < 8
     assert report.model == "rigid", report.reason
-    assert abs(len(report.chosen.excluded) - wrong.sum()) < 200
+    assert abs(len(report.chosen.excluded) - wrong.sum()) < 60
 
 
 def test_points_that_span_depth_make_it_recommend_rigid(rig):
@@ -112,12 +108,6 @@ def test_points_without_depth_give_a_homography_and_say_why(rig, plane):
         calibrate(pairs, rig, "rigid")
 
 
-def test_clicks_in_colour_reach_the_homography_through_the_extrinsic(rig):
-    in_depth = calibrate(clicked(rig, noise=CLEAN), rig, "homography")
-    in_color = calibrate(clicked(rig, noise=CLEAN, color_share=1.0), rig, "homography")
-    assert np.abs(in_depth.homography.residuals_px - in_color.homography.residuals_px).max() < 1e-4
-
-
 def test_four_points_never_show_a_residual_of_zero_as_quality(rig):
     report = calibrate(clicked(rig, 4), rig, "homography")
     quality = report.quality["homography"]
@@ -147,11 +137,10 @@ def test_the_verdict_follows_the_noise(rig, noise, word):
     assert calibrate(clicked(rig, 20, 5, noise=noise), rig).verdict.startswith(word)
 
 
-@pytest.mark.parametrize("seeds", [16, pytest.param(40, marks=pytest.mark.long)])
-def test_the_expected_error_is_the_one_that_happens(rig, seeds):
+def test_the_expected_error_is_the_one_that_happens(rig):
     places, true = judged_places(rig)
     expected, happened = [], []
-    for seed in range(seeds):
+    for seed in range(12):
         report = calibrate(clicked(rig, 12, seed), rig, "rigid", membrane=places[::9])
         expected.append(report.chosen.alignment_px**2)
         happened.append(np.mean(np.sum((report.rigid.predict(places) - true) ** 2, axis=1)))
@@ -184,7 +173,7 @@ def test_impossible_pairs_are_refused_with_the_reason(rig, change, words):
 @pytest.mark.parametrize(("offset_m", "certain"), [(0.0, False), (0.015, True)])
 def test_an_offset_of_the_depth_is_corrected_only_if_it_is_certain(rig, offset_m, certain):
     noise = ClickNoise(0.07, 0.07, 0.0003)
-    for seed in range(4):
+    for seed in range(2):
         pairs = clicked(rig, 150, seed, noise=noise, color_share=0.5)
         waves = [np.sin(p.tactile_u / 60 + seed) * np.sin(p.tactile_v / 60 + seed) for p in pairs]
         pairs = [
@@ -205,17 +194,6 @@ def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig, usual):
     assert preset.rig == rig
 
 
-def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, usual, monkeypatch):
-    preset = usual.apply_to(Preset())
-    made = []
-    monkeypatch.setattr(pipeline_module, "make_alignment", lambda *given: made.append(given) or make_alignment(*given))
-    pipeline = ContactPipeline(preset, rig)
-    pipeline.update(preset.with_value("alignment.calibration", None))
-    assert len(made) == 1
-    pipeline.update(preset.with_value("alignment.depth_scale", 1.01))
-    assert len(made) == 2
-
-
 def preset_of(pose):
     return Preset().with_value("alignment.rigid.T_proximity_tactile", np.asarray(pose).tolist())
 
@@ -227,18 +205,17 @@ def bent(pairs):
     ]
 
 
-@pytest.mark.parametrize("make", [list, bent])
-@pytest.mark.parametrize("count", [12, 40])
+@pytest.mark.parametrize(("count", "make"), [(12, bent), (40, list)])
 def test_a_new_alignment_is_not_better_than_the_true_one(rig, count, make):
     """It fits its own pairs better, as every fit does, and shares their errors."""
     verdicts = []
-    for seed in range(8):
+    for seed in range(5):
         compared = compare_alignments(
             calibrate(make(clicked(rig, count, seed)), rig, "rigid"), preset_of(rig.T_proximity_tactile)
         )
         verdicts.append(compared.verdict)
         assert compared.half_width_px > 0
-    assert "better" not in verdicts and verdicts.count("equal") >= 5
+    assert "better" not in verdicts and verdicts.count("equal") >= 3
 
 
 def test_an_alignment_that_has_moved_is_told_from_a_new_one(rig):
@@ -248,12 +225,6 @@ def test_an_alignment_that_has_moved_is_told_from_a_new_one(rig):
     compared = compare_alignments(report, preset_of(moved))
     assert compared.verdict == "better" and not is_worse(report, preset_of(moved))
     assert compared.better_px == pytest.approx(4e-3 * rig.proximity.intrinsics.fx / 0.29, rel=0.35)
-
-
-def test_a_homography_is_worse_than_the_true_pose_off_its_plane(rig):
-    report, present = calibrate(clicked(rig, 40), rig, "homography"), preset_of(rig.T_proximity_tactile)
-    assert compare_alignments(report, present).verdict == "worse"
-    assert is_worse(report, present)
 
 
 def test_pairs_that_the_present_alignment_was_fitted_to_tell_nothing(rig):

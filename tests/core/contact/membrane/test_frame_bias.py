@@ -61,8 +61,10 @@ def true_bias_m(frame, source):
 
 
 @pytest.mark.parametrize("bias_m", [-0.004, 0.017])
-@pytest.mark.parametrize("known", ["not measured", "unknown", "contact"])
-@pytest.mark.parametrize("sensor", ["clean", "datasheet"])
+@pytest.mark.parametrize(
+    ("sensor", "known"),
+    [("clean", "not measured"), ("clean", "unknown"), ("clean", "contact"), ("datasheet", "not measured")],
+)
 def test_a_flat_bias_is_found_in_firm_contact(bias_m, known, sensor):
     source = cup(sensor)
     frame = source.read(0)
