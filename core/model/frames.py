@@ -8,7 +8,7 @@ metres; raw depth is uint16, with its unit in the camera.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
@@ -111,7 +111,7 @@ class Rig(_Frozen):
         """Return a rig with a tactile camera only.
 
         A stand-in with the same lens in the same place is its proximity camera, and the tactile images are that
-        camera's images, too (`SensorFrame.of_one_camera`): so the membrane is what both see, in one frame.
+        camera's images, too (`SensorFrame.of_shots`): so the membrane is what both see, in one frame.
         """
         stand_in = tactile.model_copy(update={"model": NO_CAMERA, "serial": ""})
         return cls(proximity=stand_in, tactile=tactile, T_proximity_tactile=rigid_transform(np.eye(4)))
@@ -190,6 +190,14 @@ def note_number(seen: set[int], frame: SensorFrame) -> None:
     seen.add(frame.sequence)
 
 
+class Shot(NamedTuple):
+    """What one camera took: counts, uint16 (H, W), RGB, uint8 (h, w, 3), if there is any, and when."""
+
+    depth: Uint16Array
+    color: Uint8Array | None
+    time_s: float
+
+
 @dataclass(frozen=True, eq=False)
 class SensorFrame:
     """One pair of images from both cameras. The arrays become read-only views.
@@ -242,17 +250,13 @@ class SensorFrame:
             object.__setattr__(self, name, view)
 
     @classmethod
-    def of_one_camera(
-        cls,
-        sequence: int,
-        depth: Uint16Array,
-        color: Uint8Array | None,
-        time_s: float,
-        truth: GroundTruth | None = None,
+    def of_shots(
+        cls, rig: Rig, sequence: int, proximity: Shot | None, tactile: Shot, truth: GroundTruth | None = None
     ) -> SensorFrame:
-        """Return a frame of `Rig.of_one_camera`: counts, uint16 (H, W), and RGB on the same pixels, uint8 (H, W, 3)."""
-        shown = np.zeros((*depth.shape, 3), np.uint8) if color is None else color
-        return cls(sequence, depth, depth, shown, color, time_s, time_s, truth)
+        """Return a frame of what the cameras took; ``proximity`` is None for a rig with a tactile camera only."""
+        near = proximity or tactile  # see `Rig.of_one_camera`
+        color = np.zeros((*rig.proximity_color_shape, 3), np.uint8) if near.color is None else near.color
+        return cls(sequence, near.depth, tactile.depth, color, tactile.color, near.time_s, tactile.time_s, truth)
 
     @property
     def skew_s(self) -> float:

@@ -34,7 +34,7 @@ from ..errors import ExportError, SourceError
 from ..model.arrays import AnyArray, Float32Array
 from ..model.clouds import valid_depth
 from ..model.files import remove_leftovers, user_path
-from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, note_number
+from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, Shot, note_number
 from ..model.loading import parse_npy, read_file
 from ..model.rig_file import json_text, read_json_object, rig_to_json, validation_sentence
 from .base import FrameSource, Health, Progress, SeekableSource, SourceKind, frames_to_write
@@ -119,21 +119,14 @@ class FolderSource(SeekableSource):
         color = None
         if "tactile_color" in images:
             color = read_color(images["tactile_color"], rig.tactile.intrinsics.shape, self._forms["tactile"])
-        if not rig.has_proximity:
-            return SensorFrame.of_one_camera(stamp.sequence, depth, color, stamp.tactile_time_s, truth)
-        seen, shape = images.get("proximity_color"), rig.proximity_color_shape
-        return SensorFrame(
-            sequence=stamp.sequence,
-            proximity_depth=read_depth(images["proximity_depth"], rig.proximity, self._forms["proximity"]),
-            tactile_depth=depth,
-            proximity_color=np.zeros((*shape, 3), np.uint8)
-            if seen is None
-            else read_color(seen, shape, self._forms["proximity_color"]),
-            tactile_color=color,
-            proximity_time_s=stamp.proximity_time_s,
-            tactile_time_s=stamp.tactile_time_s,
-            truth=truth,
-        )
+        tactile, proximity = Shot(depth, color, stamp.tactile_time_s), None
+        if rig.has_proximity:
+            depth, color = read_depth(images["proximity_depth"], rig.proximity, self._forms["proximity"]), None
+            if "proximity_color" in images:
+                form = self._forms["proximity_color"]
+                color = read_color(images["proximity_color"], rig.proximity_color_shape, form)
+            proximity = Shot(depth, color, stamp.proximity_time_s)
+        return SensorFrame.of_shots(rig, stamp.sequence, proximity, tactile, truth)
 
 
 def export_folder(

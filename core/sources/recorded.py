@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import SourceError
 from ..model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
-from ..model.frames import Matrix4, Rig, SensorFrame
+from ..model.frames import Matrix4, Rig, SensorFrame, Shot
 from .base import Health, SeekableSource
 from .cameras.camera import Calibration
 from .cameras.pairing import pairs, period_s
@@ -35,14 +35,14 @@ class RecordedCamera:
     color: Callable[[int], Uint8Array] | None
     partners: IndexArray
 
-    def images(self, index: int, *, on_depth: bool) -> tuple[Uint16Array, Uint8Array | None]:
+    def shot(self, index: int, *, on_depth: bool) -> Shot:
         """Return a depth image and its colour, if wanted in the pixels of the depth."""
         with damage_told(self.path, f"depth image {index} or its colour cannot be read"):
-            depth = self.depth(index)
-            if self.color is None or self.partners[index] < 0:
-                return depth, None
-            color = self.color(int(self.partners[index]))
-            return depth, self.calibration.color_on_depth(color, depth) if on_depth else color
+            depth, color = self.depth(index), None
+            if self.color is not None and self.partners[index] >= 0:
+                color = self.color(int(self.partners[index]))
+                color = self.calibration.color_on_depth(color, depth) if on_depth else color
+            return Shot(depth, color, float(self.times_s[index]))
 
 
 class RecordedSource(SeekableSource):
@@ -112,18 +112,8 @@ class RecordedSource(SeekableSource):
             raise SourceError(f"{self.name} is closed; open it again")
         proximity, tactile = self._cameras[0], self._cameras[-1]
         first, second = int(self._first[index]), int(self._second[index])
-        time_s = float(tactile.times_s[second])
         if not self._rig.has_proximity:
-            return SensorFrame.of_one_camera(index, *tactile.images(second, on_depth=True), time_s)
-        waiting = self._helper.submit(tactile.images, second, on_depth=True)
-        depth, color = proximity.images(first, on_depth=False)
-        tactile_depth, tactile_color = waiting.result()
-        return SensorFrame(
-            sequence=index,
-            proximity_depth=depth,
-            tactile_depth=tactile_depth,
-            proximity_color=np.zeros((*self._rig.proximity_color_shape, 3), np.uint8) if color is None else color,
-            tactile_color=tactile_color,
-            proximity_time_s=float(proximity.times_s[first]),
-            tactile_time_s=time_s,
-        )
+            return SensorFrame.of_shots(self._rig, index, None, tactile.shot(second, on_depth=True))
+        waiting = self._helper.submit(tactile.shot, second, on_depth=True)
+        shot = proximity.shot(first, on_depth=False)
+        return SensorFrame.of_shots(self._rig, index, shot, waiting.result())

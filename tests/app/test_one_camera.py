@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QPushButton
 from fakes import FakeSource, tiny_rig
 from hands import LEFT, show_source
 from tactune.app.worker.results import CloudName
-from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.model.frames import Rig, SensorFrame, Shot
 
 DENT_M = 0.012
 
@@ -19,7 +19,8 @@ def dented(index, rig):
     v, u = np.mgrid[:height, :width]
     pressed = (np.hypot(u - width / 2, v - height / 2) < 12) & (index > 0)
     counts = np.rint(np.where(pressed, 0.25 - DENT_M, 0.25) / rig.tactile.depth_unit_m).astype(np.uint16)
-    return SensorFrame.of_one_camera(index, counts, np.full((height, width, 3), 90, np.uint8), index / 30)
+    color = np.full((height, width, 3), 90, np.uint8)
+    return SensorFrame.of_shots(rig, index, None, Shot(counts, color, index / 30))
 
 
 def one_camera(**options):
@@ -85,19 +86,14 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
         assert "tactile camera only" not in action.toolTip()
 
 
-def test_the_check_of_cameras_has_no_second_camera(make_window, qtbot, preset, untouched_source):
+def test_the_noise_window_speaks_of_no_bias(make_window, qtbot, preset, untouched_source):
     window = make_window(preset)
     show_source(qtbot, window, untouched_source, 3)
-    window.checks.open()
-    opened = window.checks.window
-    qtbot.waitUntil(lambda: opened.quality.quality is not None)
-    assert not opened.quality.panes["tactile"].isVisible()
-    assert "Fill rate" in opened.quality.lines["proximity"].text()
-    assert not opened.tabs.isTabEnabled(opened.tabs.indexOf(opened.skew))
-    assert "both cameras" not in opened.quality.intro.text() + opened.noise.intro.text()
+    window.noise.open()
+    panel = window.noise.window.panel
+    qtbot.waitUntil(lambda: "bias" not in panel.intro.text())
     show_source(qtbot, window, FakeSource(), 3)
-    qtbot.waitUntil(lambda: opened.tabs.isTabEnabled(opened.tabs.indexOf(opened.skew)))
-    qtbot.waitUntil(opened.quality.panes["tactile"].isVisible)
+    qtbot.waitUntil(lambda: "bias" in panel.intro.text())
 
 
 def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbot):

@@ -8,10 +8,8 @@ from collections.abc import Sequence
 from threading import Condition
 from typing import Final
 
-import numpy as np
-
 from ...errors import SourceError
-from ...model.frames import Rig, SensorFrame
+from ...model.frames import Rig, SensorFrame, Shot
 from ...preset import CamerasSection
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
 from .camera import CameraDriver, Images
@@ -115,26 +113,12 @@ class CameraSource(FrameSource):
                 return None
             first, second = self._ready.popleft()
         self._last_frame_s = time.monotonic()
-        proximity, tactile, color = first.item, second.item, second.item.color
+        depth, color = second.item.depth, second.item.color
         if color is not None:
-            color = self._feeds["tactile"].calibration.color_on_depth(color, tactile.depth)
-        if not self._rig.has_proximity:
-            self._sequence += 1
-            return SensorFrame.of_one_camera(self._sequence - 1, tactile.depth, color, second.time_s)
-        proximity_color = proximity.color
-        if proximity_color is None:
-            proximity_color = np.zeros((*self._rig.proximity_color_shape, 3), np.uint8)
-        frame = SensorFrame(
-            sequence=self._sequence,
-            proximity_depth=proximity.depth,
-            tactile_depth=tactile.depth,
-            proximity_color=proximity_color,
-            tactile_color=color,
-            proximity_time_s=first.time_s,
-            tactile_time_s=second.time_s,
-        )
+            color = self._feeds["tactile"].calibration.color_on_depth(color, depth)
+        proximity = Shot(first.item.depth, first.item.color, first.time_s) if self._rig.has_proximity else None
         self._sequence += 1
-        return frame
+        return SensorFrame.of_shots(self._rig, self._sequence - 1, proximity, Shot(depth, color, second.time_s))
 
     def options(self) -> tuple[CameraOption, ...]:
         return tuple(option for feed in self._feeds.values() for option in feed.options())

@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import PresetError, SourceError
 from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint64Array
 from ...model.files import recording_files, user_path
-from ...model.frames import GroundTruth, Rig, SensorFrame
+from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
 from ...model.loading import parse_json, parse_untouched
 from ...model.rig_file import parse_rig
 from ...preset import Preset
@@ -133,27 +133,19 @@ class McapSource(SeekableSource):
         self._file.close()
 
     def read(self, index: int) -> SensorFrame:
-        rig, sequence, time_s = self._rig, index, 0.0
-        tactile_depth, tactile_time_s = self._required(Topic.TACTILE_DEPTH, index, rig.tactile.intrinsics.shape)
-        tactile_color = self._optional(Topic.TACTILE_COLOR, index, rig.tactile.intrinsics.shape)
+        rig, sequence, proximity = self._rig, index, None
+        shape = rig.tactile.intrinsics.shape
+        depth, time_s = self._required(Topic.TACTILE_DEPTH, index, shape)
+        tactile = Shot(depth, self._optional(Topic.TACTILE_COLOR, index, shape), time_s)
         if rig.has_proximity:
             depth, time_s = self._required(Topic.PROXIMITY_DEPTH, index, rig.proximity.intrinsics.shape)
+            color = self._optional(Topic.PROXIMITY_COLOR, index, rig.proximity_color_shape)
+            proximity = Shot(depth, color, time_s)
         if (place := self._place(Topic.FRAME, index)) is not None:
             sequence, time_s, tactile_time_s = self._frame_record(place)
-        truth = self._truth(index)
-        if not rig.has_proximity:
-            return SensorFrame.of_one_camera(sequence, tactile_depth, tactile_color, tactile_time_s, truth)
-        color = self._optional(Topic.PROXIMITY_COLOR, index, rig.proximity_color_shape)
-        return SensorFrame(
-            sequence=sequence,
-            proximity_depth=depth,
-            tactile_depth=tactile_depth,
-            proximity_color=np.zeros((*rig.proximity_color_shape, 3), np.uint8) if color is None else color,
-            tactile_color=tactile_color,
-            proximity_time_s=time_s,
-            tactile_time_s=tactile_time_s,
-            truth=truth,
-        )
+            tactile = tactile._replace(time_s=tactile_time_s)
+            proximity = None if proximity is None else proximity._replace(time_s=time_s)
+        return SensorFrame.of_shots(rig, sequence, proximity, tactile, self._truth(index))
 
     def _check_topics(self, places: dict[Topic, Uint64Array]) -> None:
         topics = self._file.topics

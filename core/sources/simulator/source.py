@@ -24,7 +24,7 @@ from pydantic import TypeAdapter
 
 from ...errors import ExportError
 from ...model.files import atomic_path
-from ...model.frames import GroundTruth, Rig, SensorFrame
+from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
 from ...model.metrics import truth_cloud
 from ..base import Progress, SeekableSource
 from .membrane import Membrane
@@ -116,24 +116,13 @@ class SimulatorSource(SeekableSource):
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
         truth = GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, facts.strain, facts.T_proximity_object)
+        time_s, color = index / self.frame_rate_hz, noise.colour(index, 1, state.tactile_color)
+        tactile = Shot(noise.tactile_depth(index, state.tactile), color, time_s)
         if not self.rig.has_proximity:
-            return SensorFrame.of_one_camera(
-                index,
-                noise.tactile_depth(index, state.tactile),
-                noise.colour(index, 1, state.tactile_color),
-                index / self.frame_rate_hz,
-                self._seen_by_tactile(truth),
-            )
-        return SensorFrame(
-            sequence=index,
-            proximity_depth=noise.proximity_depth(index, state),
-            tactile_depth=noise.tactile_depth(index, state.tactile),
-            proximity_color=noise.colour(index, 0, state.proximity_color),
-            tactile_color=noise.colour(index, 1, state.tactile_color),
-            proximity_time_s=index / self.frame_rate_hz,
-            tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=truth,
-        )
+            return SensorFrame.of_shots(self.rig, index, None, tactile, self._seen_by_tactile(truth))
+        color = noise.colour(index, 0, state.proximity_color)
+        proximity = Shot(noise.proximity_depth(index, state), color, time_s)
+        return SensorFrame.of_shots(self.rig, index, proximity, tactile._replace(time_s=time_s + _SKEW_S), truth)
 
     def _seen_by_tactile(self, truth: GroundTruth) -> GroundTruth:
         """Return the contact on the tactile camera's pixels."""

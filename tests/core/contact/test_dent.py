@@ -29,7 +29,8 @@ def plane(depth_m, dent_m=0.0):
     """A flat membrane of 48 x 64 pixels with a square dent of 20 pixels."""
     metres = np.full((48, 64), depth_m)
     metres[14:34, 20:40] -= dent_m
-    return SensorFrame.of_one_camera(0, np.rint(metres / 1e-4).astype(np.uint16), None, 0.0)
+    counts = np.rint(metres / 1e-4).astype(np.uint16)
+    return SensorFrame(0, counts, counts, np.zeros((48, 64, 3), np.uint8))
 
 
 def flat_rig():
@@ -62,7 +63,7 @@ def test_small_dents_and_holes_and_noise_are_no_contact():
     assert (patch.provenance == Provenance.SMALL_CLUSTER).sum() > 100
     holes = dented.tactile_depth.copy()
     holes[14:34, 20:40] = 0
-    hidden = SensorFrame.of_one_camera(0, holes, None, 0.0)
+    hidden = SensorFrame(0, holes, holes, np.zeros((48, 64, 3), np.uint8))
     assert not len(ContactPipeline(DENT, rig, untouched).process(hidden).points)
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from folder_scenes import RIG, list_source, make_frame
 from tactune.core.errors import TactuneError
-from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.model.frames import Rig, SensorFrame, Shot
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.model.rig_file import parse_rig
 from tactune.core.output.calibration_files import CALIBRATIONS, export_calibration
@@ -156,7 +156,7 @@ def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path):
 
 def test_one_camera_alone_is_the_tactile_one(tmp_path):
     rig = Rig.of_one_camera(RIG.proximity)
-    frame = SensorFrame.of_one_camera(0, make_frame(0).proximity_depth, None, 0.0)
+    frame = SensorFrame.of_shots(rig, 0, None, Shot(make_frame(0).proximity_depth, None, 0.0))
     export_hdf5(list_source([frame], rig), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
         assert "proximity" not in file
