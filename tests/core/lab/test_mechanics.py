@@ -9,8 +9,6 @@ from tactune.core.lab import mechanics as module
 from tactune.core.lab.mechanics import (
     MembraneMechanics,
     MembraneMesh,
-    curvature_radius,
-    enclosed_volume,
     stiffness_and_areas,
 )
 from tactune.core.model.metrics import pixel_scores
@@ -58,15 +56,6 @@ def test_a_flat_membrane_bulges_by_p_a2_minus_r2_over_4t():
     assert areas.sum() == pytest.approx(np.pi * radius**2, rel=WITHIN)
     np.testing.assert_allclose(w, exact, atol=WITHIN * exact.max())
     assert w.max() == pytest.approx(exact.max(), rel=WITHIN)
-
-
-def test_radius_and_volume_of_a_spherical_cap():
-    sphere, radius = 0.3, 0.08
-    mesh = disc(radius, 20, lambda r: np.sqrt(sphere**2 - r**2) - np.sqrt(sphere**2 - radius**2))
-    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
-    cap = sphere - np.sqrt(sphere**2 - radius**2)
-    assert curvature_radius(mesh, stiffness, areas) == pytest.approx(sphere, rel=WITHIN)
-    assert enclosed_volume(mesh) == pytest.approx(np.pi * cap**2 * (3 * sphere - cap) / 3, rel=WITHIN)
 
 
 def test_contact_radius_under_a_flat_plate(shallow, monkeypatch):

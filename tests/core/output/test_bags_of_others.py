@@ -67,15 +67,6 @@ def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, rig, frames, same_
         assert source.frame_rate_hz == pytest.approx(30.0, rel=1e-6)
 
 
-def test_a_copy_that_is_cut_off_plays_up_to_there(tmp_path, ours, frames, same_frame):
-    copy = rewrite(ours, tmp_path / "copy.mcap", chunk_size=400)
-    copy.write_bytes(copy.read_bytes()[: copy.stat().st_size // 2])
-    with McapSource(copy) as source:
-        assert 1 <= source.length < len(frames)
-        for index in range(source.length - 1):  # the last may lack what came after the cut
-            assert same_frame(source.read(index), frames[index])
-
-
 def test_a_bag_without_a_rig_is_refused(tmp_path, ours):
     with pytest.raises(SourceError, match=r"has no rig\.json and no /tactune/rig"):
         McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune",)))

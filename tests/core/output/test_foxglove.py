@@ -38,12 +38,6 @@ def test_programs_and_the_web_page_that_is_allowed_connect(sink, origin):
         client.wait_for_channels([TOPIC])
 
 
-@pytest.mark.parametrize("protocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
-def test_both_names_of_the_protocol_connect(sink, protocol):
-    with connect(f"ws://127.0.0.1:{port_of(sink)}", subprotocols=[protocol]) as client:
-        assert client.subprotocol == protocol
-
-
 def test_no_more_clients_than_allowed_and_one_that_leaves_makes_room(sink):
     with FoxgloveClient(port_of(sink)), FoxgloveClient(port_of(sink)), pytest.raises(InvalidStatus, match="503"):
         connect(f"ws://127.0.0.1:{port_of(sink)}")

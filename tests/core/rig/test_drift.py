@@ -45,7 +45,7 @@ def reports(watch, frames, start=0):
     ],
 )
 def test_a_change_is_found_with_its_size(drift, verdict, what, value_m, said):
-    now = take_snapshot([drifted(drift).read(index) for index in LATER]).frame
+    now = take_snapshot([drifted(drift).read(index) for index in LATER[:5]]).frame
     found = compare_with_untouched(PRESET, drifted().rig, now, untouched())
     assert found.verdict == verdict
     value = found.inflation_m if what == "inflation" else found.moved_m[what]
@@ -73,9 +73,9 @@ def test_a_single_odd_frame_is_not_told(watch):
 def test_ordinary_use_raises_no_alarm(watch):
     """Presses, releases, and an object that hovers, with the light dimmed for a while."""
     source = open_source("sim:cup")
-    order = np.random.default_rng(3).integers(source.length, size=12)
+    order = np.random.default_rng(3).integers(source.length, size=8)
     frames = [source.read(int(index)) for index in order]
-    frames[4:8] = [replace(frame, tactile_color=frame.tactile_color // 2) for frame in frames[4:8]]
+    frames[3:6] = [replace(frame, tactile_color=frame.tactile_color // 2) for frame in frames[3:6]]
     assert reports(watch, frames) == []
 
 

@@ -11,7 +11,7 @@ import pytest
 from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
-from tactune.core.preset import CameraNoise, Preset
+from tactune.core.preset import Preset
 from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
@@ -84,17 +84,6 @@ def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still):
     assert shares[-1] == 1.0
 
 
-def test_the_density_is_what_an_average_over_an_area_leaves():
-    noise = CameraNoise(white_m=0.0004, correlated_m=0.0008, length_px=3.0, changing_share=1.0, distance_m=0.3)
-    focal, side_px = 400.0, 100
-    pixel_m = noise.distance_m / focal
-    rng = np.random.default_rng(3)
-    shared = cv2.GaussianBlur(rng.normal(size=(3000, 3000)), (0, 0), noise.length_px)
-    image = rng.normal(0, noise.white_m, shared.shape) + noise.correlated_m * shared / shared.std()
-    means = image.reshape(30, side_px, 30, side_px).mean(axis=(1, 3))
-    assert noise.density_m4(focal) == pytest.approx(means.var() * (side_px * pixel_m) ** 2, rel=0.2)
-
-
 def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     with pytest.raises(FrameError, match=r"10 different frames .*, there are 9"):
         measure_noise(still[:9] * 3, rig, preset)
@@ -107,19 +96,6 @@ def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     blind = [replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth)) for frame in still[:20]]
     with pytest.raises(FrameError, match=r"the tactile camera sees depth in only 0\.0 %"):
         measure_noise(blind, rig, preset)
-
-
-def test_a_frame_without_depth_hides_no_movement_and_is_left_out(rig, preset, still):
-    def without_depth(frame):
-        return replace(frame, proximity_depth=np.zeros_like(frame.proximity_depth))
-
-    moving = [wall(rig, index, proximity_m=0.3 + 0.0004 * index) for index in range(20)]
-    with pytest.raises(FrameError, match="the scene moves: the proximity depth"):
-        measure_noise([*moving[:5], without_depth(moving[5]), *moving[6:]], rig, preset)
-    frames = [*still[:4], without_depth(still[4]), *still[5:20]]
-    noise = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
-    assert noise.proximity.white_m == pytest.approx(0.0006, rel=0.1)
-    assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
 
 
 def test_a_scene_without_smooth_surfaces_is_refused(rig, preset, still):
@@ -142,42 +118,6 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
     assert pressed.bias_m == pytest.approx(0.0031)
     assert "3.1 ± " in describe(pressed)[2]
     assert "measured on contact" in describe(pressed)[2]
-
-
-def test_the_bias_slope_is_measured_over_a_range_of_depths(rig, preset):
-    across = np.broadcast_to(0.25 + 0.1 * np.arange(WIDTH) / WIDTH, (HEIGHT, WIDTH))
-    frames = []
-    for index in range(12):
-        frame = wall(rig, index)
-        color = frame.proximity_color.copy()
-        for u in (50, 80, 110, 135):
-            color[20:100, u - 8 : u + 8] = PRINT
-        noise = np.random.default_rng(index).normal(0, 0.0002, (2, HEIGHT, WIDTH))
-        # The tactile camera sees the point at depth z at column 78 + 97 (x - 0.04) / z.
-        columns = (np.arange(WIDTH) - 78.0) / 97.0
-        ray = 0.25 + 0.1 / WIDTH * 80.0, 0.1 / WIDTH * 115.0  # z = a + b x / z
-        roots = _depth_of_slope(*ray, columns)
-        near, far = across * 1.02, np.broadcast_to(roots, (HEIGHT, WIDTH))
-        frames.append(
-            SensorFrame(
-                index,
-                counts(near + noise[0], rig.proximity),
-                counts(far + noise[1], rig.tactile),
-                color,
-            )
-        )
-    noise = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
-    assert noise.bias_from == "prints"
-    assert noise.bias_per_m == pytest.approx(0.02, abs=0.02)
-    assert "per 100 mm of depth" in describe(noise)[2]
-
-
-def _depth_of_slope(start_m, slope_m, columns, shift_m=0.040):
-    """Depth z = start + slope (x / z) along the tactile rays x = column z + shift."""
-    depth = np.full(len(columns), start_m)
-    for _ in range(50):
-        depth = start_m + slope_m * (columns + shift_m / depth)
-    return depth
 
 
 # The simulator's sensors

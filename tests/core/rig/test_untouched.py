@@ -17,7 +17,6 @@ from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import (
     average_untouched,
-    copy_untouched,
     find_untouched,
     kept_untouched,
     load_untouched,
@@ -94,11 +93,6 @@ def test_noise_that_neighbours_share_is_no_movement():
         assert average_untouched(itertools.islice(source, 5)).frames == 5
 
 
-def test_no_frames_are_refused():
-    with pytest.raises(CalibrationError, match="gave none"):
-        average_untouched([])
-
-
 # The file
 
 
@@ -107,12 +101,6 @@ def test_an_untouched_frame_comes_back_bit_for_bit(kept):
     record = record_of(preset)
     assert record.frames == 5
     assert content_hash(load_untouched(record, path)) == content_hash(frame) == record.sha256
-
-
-def test_a_copy_goes_beside_another_preset(kept, tmp_path):
-    path, preset, frame = kept
-    copy_untouched(record_of(preset), path, tmp_path / "other" / "preset.json")
-    assert content_hash(load_untouched(record_of(preset), tmp_path / "other" / "preset.json")) == content_hash(frame)
 
 
 @pytest.mark.parametrize("name", [".bash_profile", "../untouched-0123456789ab.npz", "untouched-0123456789ab.npz\n"])

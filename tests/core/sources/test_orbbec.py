@@ -118,9 +118,3 @@ def test_the_options_are_properties_of_this_sdk():
         assert hasattr(sdk.DeviceList, method)
     formats = {name for name in dir(sdk.OBFormat) if name.isupper()}
     assert formats >= orbbec._COLORS.keys()
-
-
-def test_listing_writes_no_log(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert OrbbecDriver().devices() == []
-    assert list(tmp_path.iterdir()) == []

@@ -27,14 +27,6 @@ def test_firm_contact_tells_the_offset_without_prints(evidence, suggest):
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0025)
 
 
-def test_of_prints_and_contact_the_more_certain_tells_the_offset(evidence, suggest):
-    proposals = [
-        suggest("alignment", evidence(TOLERANCE, f"sim:cup?{pressed}")) for pressed in ("gap=5", "press=medium")
-    ]
-    on_prints, in_contact = (float(proposal.evidence.split("±")[1].split(" mm")[0]) for proposal in proposals)
-    assert in_contact < on_prints  # the prints are the same in both
-
-
 def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, suggest):
     with pytest.raises(AdviceError, match="can't be told from a gap"):
         suggest("alignment", evidence(NO_MASK, "sim:cup?gap=5", untouched=False))
