@@ -224,9 +224,6 @@ def scan(
         Path,
         typer.Option(metavar="FILE", help='Pose of the scan: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.'),
     ],
-    refine: Annotated[
-        bool, typer.Option("--refine", help="Refine the pose by ICP to the first method's patch in the first frame.")
-    ] = False,
     methods: NamesOption = "",
     frame: Annotated[int, typer.Option(min=0, metavar="N", help="The first frame, from 0.")] = 0,
     frames: FrameCount = None,
@@ -244,8 +241,7 @@ def scan(
 ) -> None:
     """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
 
-    Without --methods the preset's own test is compared. --refine hides errors that all patch points share; a pose that
-    was measured without the patch is fairer.
+    Without --methods the preset's own test is compared.
     """
     from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
@@ -261,7 +257,7 @@ def scan(
     contact = lab_scan.painted_contact(loaded, settings)
     if not contact.any():
         raise TactuneError(f"{scan} has no spot of the touched paint's colour ({settings}); change it with --paint")
-    truth, refined = lab_scan.scan_truth(loaded, contact, pose), None
+    truth = lab_scan.scan_truth(loaded, contact, pose)
     records: list[Record] = []
     empty = {"rmse_mm": None, "hausdorff_mm": None, "area_error_mm2": None, "failure": ""}
     with open_with_progress(source, chosen) as opened:
@@ -273,10 +269,6 @@ def scan(
                 record: Record = {"sequence": each.sequence, "method": name, "points": 0, **empty}
                 try:
                     patch = find(each)
-                    if refine and refined is None:
-                        refined = lab_scan.refine_pose(lab_scan.surface_points(loaded, contact)[0], patch.points, pose)
-                        pose = refined.T_proximity_scan
-                        truth = lab_scan.scan_truth(loaded, contact, pose)
                     scores = lab_scan.score_against_scan(patch.points, patch_area_mm2(patch), truth)
                     record |= {key: finite_or_none(value) for key, value in scores.items()}
                     record["points"] = len(patch.points)
@@ -288,9 +280,6 @@ def scan(
     if csv_file is not None:
         write_csv(csv_file, records)
     say(f"painted contact: {truth.area_mm2:.0f} mm2")
-    if refined is not None:
-        end = "" if refined.converged else ", not converged"
-        say(f"ICP: {1e3 * refined.rmse_m:.3f} mm over {counted(refined.pairs, 'pair')}{end}")
     say(table_text(records))
 
 

@@ -18,10 +18,9 @@ from pydantic import ValidationError
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from ..contact.masking import in_hsv_range
-from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
+from ..errors import MissingExtraError, SourceError, TactuneError
 from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
 from ..model.files import user_path
@@ -46,13 +45,6 @@ _MAX_POINTS: Final = 5_000_000
 #: Steps of the R2 low-discrepancy sequence (Roberts 2018): powers of 1 / x, where x^3 = x + 1.
 _PLASTIC: Final = 1.3247179572447460
 _STEPS: Final = (1 / _PLASTIC, 1 / _PLASTIC**2)
-
-#: ICP: iterations and points of each cloud, at most; the reach of a pair; it has converged if no point moves farther.
-_ICP_ROUNDS: Final = 300
-_ICP_POINTS: Final = 20_000
-_ICP_REACH_M: Final = 0.010
-_CONVERGED_M: Final = 1e-7
-_MIN_PAIRS: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,15 +188,6 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 # Pose and scores
 
 
-def _fit_pose(points: Float64Array, targets: Float64Array) -> Matrix4:
-    """Return the pose that takes points to targets, (N, 3) each, with the least squared distance."""
-    start, end = points.mean(axis=0), targets.mean(axis=0)
-    rotation, _ = Rotation.align_vectors(targets - end, points - start)
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation.as_matrix(), end - rotation.apply(start)
-    return rigid_transform(matrix)
-
-
 def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
     matrix = np.asarray(pose)
     return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
@@ -226,58 +209,6 @@ def load_transform(path: Path | str) -> Matrix4:
             f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
             "four lines of four numbers, metres"
         ) from error
-
-
-@dataclass(frozen=True)
-class RefinedPose:
-    """Result of ICP: the pose, the root mean square distance of the pairs under it, and whether it converged."""
-
-    T_proximity_scan: Matrix4
-    rmse_m: float
-    pairs: int
-    converged: bool
-
-
-def refine_pose(contact_points: npt.ArrayLike, patch_points: npt.ArrayLike, start: Matrix4) -> RefinedPose:
-    """Refine ``T_proximity_scan`` by ICP, point to point (Besl and McKay 1992).
-
-    Each contact point (scan's frame) is paired with the nearest patch point (proximity frame), and each patch point
-    with the nearest contact point. Contact is smooth, so mainly its outline determines the lateral position. If one
-    cloud lies within the other, only the pairs that start at the larger cloud show the offset.
-    """
-    contact, patch = (_thinned(points) for points in (contact_points, patch_points))
-    trees = cKDTree(contact), cKDTree(patch)
-    pose, shift, iteration = rigid_transform(start), math.inf, 0
-    while True:
-        on_patch, patch_used = _nearest(trees[1], transformed(pose, contact))
-        on_contact, contact_used = _nearest(trees[0], transformed(rigid_transform(np.linalg.inv(pose)), patch))
-        from_scan = np.concatenate([contact[patch_used], contact[on_contact]])
-        to_patch = np.concatenate([patch[on_patch], patch[contact_used]])
-        if len(from_scan) < _MIN_PAIRS:
-            raise CalibrationError(
-                f"the scan's contact is nowhere within {1e3 * _ICP_REACH_M:g} mm of the patch; give a better pose"
-            )
-        if shift < _CONVERGED_M or iteration == _ICP_ROUNDS:
-            apart = np.linalg.norm(transformed(pose, from_scan) - to_patch, axis=1)
-            rmse_m = math.sqrt(float(np.mean(apart**2)))
-            return RefinedPose(pose, rmse_m, len(from_scan), shift < _CONVERGED_M)
-        better = _fit_pose(from_scan, to_patch)
-        shift = float(np.abs(transformed(better, contact) - transformed(pose, contact)).max())
-        pose, iteration = better, iteration + 1
-
-
-def _nearest(tree: cKDTree, points: Float64Array) -> tuple[AnyArray, AnyArray]:
-    """Return the nearest points of a tree within reach, and the numbers of the points that have one."""
-    distances, nearest = tree.query(points, distance_upper_bound=_ICP_REACH_M)
-    used = np.flatnonzero(np.isfinite(distances))
-    return np.asarray(nearest)[used], used
-
-
-def _thinned(points: npt.ArrayLike) -> Float64Array:
-    array = np.asarray(points, np.float64).reshape(-1, 3)
-    if len(array) < _MIN_PAIRS:
-        raise CalibrationError(f"a cloud has {len(array)} points, too few to align; check the paint or the patch")
-    return array[:: max(math.ceil(len(array) / _ICP_POINTS), 1)]
 
 
 @dataclass(frozen=True, eq=False)
