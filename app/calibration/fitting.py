@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
+from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.calibration import CalibrationReport, calibrate
 from ...core.calibration.geometry import Alignment
 from ...core.calibration.report import PairQuality
 from ...core.errors import CalibrationError, counted
-from ...core.model.alignment import PointPair, Side
+from ...core.model.alignment import PointPair, Side, SnapshotRecord
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig
+from ...core.preset import Preset
 from ...widgets.images.marks import Mark, MarkKind
 from ..worker.jobs import Job
 from .pictures import membrane_grid
-from .session import ImageChoice, Session, SessionState, tactile_depth
+from .session import ImageChoice, Session, SessionState, Snapshot, tactile_depth
 
 #: With more pairs, only those that stand out or are selected have their numbers drawn.
 _MAX_LABELS = 120
@@ -27,6 +30,16 @@ MIN_PAIRS = 4
 #: Number of membrane points over which the uncertainty is averaged: enough for a map, fast enough to be instant.
 _MIN_PLACES, _MAX_PLACES = 20, 120
 _GRID_PX = 32
+#: The preset fields that a calibration determines.
+_FITTED = (
+    "alignment.model",
+    "alignment.rigid.T_proximity_tactile",
+    "alignment.homography.H_p_t",
+    "alignment.depth_scale",
+    "alignment.depth_offset_m",
+    "alignment.calibration",
+    "rig",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +108,18 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
         return Outcome(pairs, calibrate(pairs, rig, state.choices.model, membrane=membrane))
     except CalibrationError as error:
         return Outcome(pairs, problem=str(error))
+
+
+def report_changes(report: CalibrationReport, preset: Preset, snapshots: Sequence[Snapshot]) -> dict[str, Any]:
+    """Return the preset fields that a calibration changes, and their new values."""
+    records = tuple(
+        SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged) for snapshot in snapshots
+    )
+    applied = report.apply_to(preset, snapshots=records)
+    values = {path: applied.value(path) for path in _FITTED}
+    return {
+        path: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for path, value in values.items()
+    }
 
 
 def missing_pairs(state: SessionState) -> str:

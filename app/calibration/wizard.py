@@ -7,7 +7,6 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from pydantic import BaseModel
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
@@ -16,7 +15,6 @@ from ...core.calibration import CalibrationReport, read_points, write_points
 from ...core.calibration.recheck import compare_alignments, is_worse
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError, counted
-from ...core.model.alignment import SnapshotRecord
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -25,7 +23,7 @@ from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..worker.worker import FrameFeed
 from .check_page import CheckPage
-from .fitting import Fitter, Outcome, at_least, missing_pairs, with_depth
+from .fitting import Fitter, Outcome, at_least, missing_pairs, report_changes, with_depth
 from .frames_page import FramesPage
 from .keeping import Keeper
 from .points_page import PointsPage
@@ -42,15 +40,6 @@ _TIPS = (
 )
 _SAVE = STEPS.index("Save")
 #: The fields of the preset that a calibration sets.
-_SAVED = (
-    "alignment.model",
-    "alignment.rigid.T_proximity_tactile",
-    "alignment.homography.H_p_t",
-    "alignment.depth_scale",
-    "alignment.depth_offset_m",
-    "alignment.calibration",
-    "rig",
-)
 _POINTS = "Points (*.csv)"
 
 
@@ -326,19 +315,11 @@ class CalibrationWizard(QDialog):
 
     def _save(self, report: CalibrationReport) -> None:
         """Put the alignment and its record into the document, as one undoable step, and save the file."""
-        records = tuple(
-            SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged)
-            for snapshot in self.session.state.snapshots
-        )
         try:
-            applied = report.apply_to(self._document.preset, snapshots=records)
+            values = report_changes(report, self._document.preset, self.session.state.snapshots)
         except TactuneError as error:
             self.messages.show_message("saved", Severity.ERROR, str(error))
             return
-        values = {path: applied.value(path) for path in _SAVED}
-        values |= {
-            path: value.model_dump(mode="json") for path, value in values.items() if isinstance(value, BaseModel)
-        }
         if not self._document.edit_many(values):
             return
         self._saved = True

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QWidget
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
 from ...core.rig.untouched import frames_to_average
-from ...core.sources.registry import open_source
+from ...core.sources.base import part_of
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
 from ...widgets.basics.layouts import hbox
 from ..context import Context
@@ -41,6 +41,7 @@ class Gather(QWidget):
     #: What to do while frames are taken.
     prompt = "Hold everything still"
 
+    ended = pyqtSignal(bool)  # whether there is a result; not, if it failed or was cancelled
     _takingFailed = pyqtSignal(str)
 
     def __init__(self, context: Context, start: QPushButton) -> None:
@@ -96,9 +97,13 @@ class Gather(QWidget):
         """Show a result."""
         raise NotImplementedError
 
-    def change(self) -> tuple[str, Any] | None:
-        """Return the preset field that the result changes, and its new value; None if it changes nothing."""
+    def changes(self) -> dict[str, Any]:
+        """Return the preset fields that the result changes, and their new values."""
         raise NotImplementedError
+
+    def at_hand(self) -> list[Any]:
+        """Return what is worked on at once, without taking frames; empty if frames are to be taken."""
+        return []
 
     # Taking frames
 
@@ -120,12 +125,13 @@ class Gather(QWidget):
             return
         self.sentence.clear()
         self.progress.show_share(0.0, "")
-        self._taking = not (self.at_rest and info.name.startswith("sim:"))
-        if not self._taking:
-            frames: list[SensorFrame] = []
-            self._job.start(partial(_simulated, info.name, self.wanted, frames, self.work(frames, info)))
+        simulated, frames = self.at_rest and info.name.startswith("sim:"), self.at_hand()
+        if frames or simulated:
+            work = self.work(frames, info)
+            self._job.start(work if frames else partial(_simulated, info, self.wanted, frames, work))
             self._show_busy()
             return
+        self._taking = True
         self._show_busy()
         kept: dict[int, Any] = {}
 
@@ -147,12 +153,14 @@ class Gather(QWidget):
             self._context.worker.play()
 
     def stop(self) -> None:
-        was_busy = self.busy
+        was_taking, was_busy = self._taking, self.busy
         self._stop_taking()
         self._job.cancel()
         if was_busy:
             self.sentence.setText("Cancelled; nothing was changed.")
         self._show_busy()
+        if was_taking:  # else the job ends it
+            self.ended.emit(False)
 
     def close_down(self) -> None:
         self._stop_taking()
@@ -211,14 +219,17 @@ class Gather(QWidget):
         self.found = found
         self._show_busy()
         self.show_found(found)
-        if (change := self.change()) is not None:
-            self._document.edit(*change)
-        self.undo.setFocus(Qt.FocusReason.OtherFocusReason)
+        if changes := self.changes():
+            self._document.edit_many(changes)
+        if self.undo.isVisible():
+            self.undo.setFocus(Qt.FocusReason.OtherFocusReason)
+        self.ended.emit(True)
 
     def _fail(self, sentence: str) -> None:
         self._show_busy()
         if sentence:  # empty: it was cancelled
             self.sentence.setText(as_sentence(sentence))
+        self.ended.emit(False)
 
     def _show_busy(self) -> None:
         self.start.setEnabled(not self.busy)
@@ -229,14 +240,11 @@ class Gather(QWidget):
         return hbox(self.start, self.cancel, self.undo, (self.progress, 1))
 
 
-def _simulated(name: str, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:
+def _simulated(info: SourceInfo, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:
     """Make frames of the simulator without its object, then work on them."""
-
-    def third(number: int) -> Progress:
-        return lambda share, words: progress((number + share) / 3, words)
-
-    with open_source(name, third(0)) as source, frames_to_average(source, count, third(0)) as shown:
+    assert info.at_rest is not None
+    with frames_to_average(info.at_rest, count, part_of(progress, 0, 3)) as shown:
         for frame in shown:
             frames.append(frame)
-            third(1)(len(frames) / count, f"Frame {len(frames)} of {count}")
-    return work(third(2))
+            part_of(progress, 1, 3)(len(frames) / count, f"Frame {len(frames)} of {count}")
+    return work(part_of(progress, 2, 3))

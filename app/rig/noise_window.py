@@ -54,8 +54,8 @@ class NoisePanel(Gather):
     def show_found(self, found: RigNoise) -> None:
         self.sentence.setText("The measurement is in the preset now; Undo (Ctrl+Z) takes it out again.")
 
-    def change(self) -> tuple[str, Any]:
-        return "noise", self.found.model_dump()
+    def changes(self) -> dict[str, Any]:
+        return {"noise": self.found.model_dump()}
 
     def _show_stored(self, *_: object) -> None:
         noise = self._document.preset.noise

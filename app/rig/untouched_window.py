@@ -46,10 +46,8 @@ class UntouchedPanel(Gather):
     wanted = UNTOUCHED_FRAMES
     prompt = "Do not touch the membrane"
 
-    def __init__(self, context: Context, store: UntouchedStore) -> None:
-        self._store = store
+    def __init__(self, context: Context) -> None:
         start = push_button("&Capture", "Average the next frames into the untouched frame (Enter)")
-        start.setDefault(True)
         super().__init__(context, start)
         self.progress.setAccessibleName("Progress of capturing")
         self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
@@ -57,10 +55,12 @@ class UntouchedPanel(Gather):
         self._show_busy()
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        store = self._document.untouched_store
+        assert store is not None
 
         def average(_: Progress) -> UntouchedRecord:
             averaged = average_untouched(kept[: self.wanted])
-            return self._store.keep(averaged.frame, averaged.frames)
+            return store.keep(averaged.frame, averaged.frames)
 
         return average
 
@@ -71,18 +71,19 @@ class UntouchedPanel(Gather):
             "Save the preset (Ctrl+S in the main window) to write the untouched frame beside it."
         )
 
-    def change(self) -> tuple[str, Any]:
-        return "untouched", self.found.model_dump()
+    def changes(self) -> dict[str, Any]:
+        return {"untouched": self.found.model_dump()}
 
 
 class CaptureWindow(QDialog):
     """Shows the untouched frame, and captures a new one; the main window shows the membrane now."""
 
-    def __init__(self, context: Context, store: UntouchedStore, keeper: UntouchedKeeper) -> None:
+    def __init__(self, context: Context, keeper: UntouchedKeeper) -> None:
         super().__init__(context.window)
         self.setWindowTitle("Capture untouched frame – Tactune")
         self._context, self._keeper = context, keeper
-        self.panel = UntouchedPanel(context, store)
+        self.panel = UntouchedPanel(context)
+        self.panel.start.setDefault(True)
         headline = QLabel("Nothing may touch the membrane")
         make_verdict(headline)
         self.untouched = ImagePane("Untouched frame, tactile depth")
@@ -147,7 +148,7 @@ class UntouchedControls(QObject):
             self._context.messages.show_message("untouched", Severity.WARNING, sentence, subject=SOURCE)
             return
         if self.window is None:
-            self.window = CaptureWindow(self._context, self.store, self.keeper)
+            self.window = CaptureWindow(self._context, self.keeper)
         bring_up(self.window)
 
     def close(self) -> None:

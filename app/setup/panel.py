@@ -1,93 +1,287 @@
-"""The controls of the mode *Set up*: what a rig needs before it is tuned, each with its state and its button."""
+"""The controls of the mode *Set up*: the steps from cameras to a judged preset, each with its state and its button."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
+from PyQt6.QtCore import QTimer
 from PyQt6.QtGui import QAction, QPalette
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QStackedLayout, QWidget
 
 from ...core.errors import counted
 from ...core.preset import Preset
-from ...widgets.basics.controls import NoteLabel, text_button
+from ...core.rig.verdict import Verdict
+from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push_button, text_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..context import Context
+from ..rig.gather import Gather
+from ..rig.noise_window import NoisePanel
+from ..rig.untouched_window import UntouchedPanel
 from ..worker.results import SourceInfo
+from .steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
+
+_LEFT_OUT: Final = "Left out: this rig has one camera."
+_CAMERAS: Final = "cameras:"
 
 
-@dataclass(frozen=True)
-class Task:
-    """One thing to do: its title, what is said of its state, and the names of the actions that do it."""
-
-    title: str
-    state: Callable[[SourceInfo | None, Preset], str]
-    actions: tuple[str, ...]
-
-
-def _source(info: SourceInfo | None, _: Preset) -> str:
-    if info is None:
-        return "None open"
-    length = "live" if info.length is None else counted(info.length, "frame")
-    return f"{info.name}, {length}"
-
-
-def _untouched(_: SourceInfo | None, preset: Preset) -> str:
+def _captured(preset: Preset) -> str:
     record = preset.untouched
-    return "Not captured" if record is None else f"Captured, mean of {counted(record.frames, 'frame')}"
+    return "" if record is None else f"Captured, mean of {counted(record.frames, 'frame')}."
 
 
-def _alignment(_: SourceInfo | None, preset: Preset) -> str:
+def _measured(preset: Preset) -> str:
+    noise = preset.noise
+    if noise is None:
+        return ""
+    sides = (("tactile", noise.tactile), ("proximity", noise.proximity))
+    return f"Noise {', '.join(f'{1e3 * side.total_m:.1f} mm {name}' for name, side in sides)}."
+
+
+def _aligned(preset: Preset) -> str:
     record = preset.alignment.calibration
     if record is None:
-        return "Not calibrated"
-    return f"Calibrated {record.date:%Y-%m-%d}, expected error {record.quality.alignment_px:.2f} px"
+        return ""
+    quality = record.quality
+    return f"Calibrated, off by {quality.alignment_px:.1f} px; boundary {quality.boundary_error_mm:.1f} mm."
 
 
-def _noise(_: SourceInfo | None, preset: Preset) -> str:
+def _unbiased(preset: Preset) -> str:
     noise = preset.noise
-    return "Not measured" if noise is None else f"Measured, bias {1e3 * noise.bias_m:.1f} mm"
+    if noise is None or noise.bias_from == "unknown":
+        return ""
+    return f"Bias {1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, from {noise.bias_from}."
 
 
-TASKS: Final = (
-    Task("Cameras or recording", _source, ("open_source", "cameras", "camera_settings")),
-    Task("Untouched frame", _untouched, ("capture_untouched",)),
-    Task("Alignment", _alignment, ("calibrate", "check_drift")),
-    Task("Noise and bias", _noise, ("measure_noise",)),
-)
+class StepRow(QFrame):
+    """One step: its mark, title and buttons, and below them its state, or progress and *Cancel* while it runs.
+
+    ``known`` says from the preset that it is done, with its number; empty: it is open. A step without it is done once
+    its work has a result.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        intro: str,
+        work: Gather | None,
+        known: Callable[[Preset], str] | None = None,
+        two_cameras: bool = False,
+        more: Sequence[QAbstractButton] = (),
+    ) -> None:
+        super().__init__()
+        self.title, self.work, self.two_cameras = title, work, two_cameras
+        self.skipped, self._intro, self._known = False, intro, known
+        #: What is said of a step without work once it is done.
+        self.opened = ""
+        self.mark, heading = TintedLabel(), QLabel(title)
+        self.mark.setFixedWidth(self.mark.fontMetrics().horizontalAdvance("MM"))
+        heading.setFont(text_font("body", bold=True))
+        self.state = ElidedLabel()
+        self.state.setAccessibleName(title)
+        self.setAccessibleName(title)
+        below = QWidget()
+        self._stack = QStackedLayout(below)
+        self._stack.addWidget(self.state)
+        if work is not None:
+            work.setParent(self)
+            work.hide()
+            running = QWidget()
+            hbox((work.progress, 1), work.cancel, within=running, margins=0)
+            self._stack.addWidget(running)
+            below.setFixedHeight(work.cancel.sizeHint().height())
+            work.progress.setAccessibleName(f"Progress of {title.lower()}")
+        buttons = [*([] if work is None else [work.start]), *more]
+        head = hbox(self.mark, heading, STRETCH, *buttons, margins=0)
+        vbox(head, hbox(self.mark.width(), (below, 1), margins=0), within=self, margins=(6, 4, 6, 4), spacing=0)
+
+    def known(self, preset: Preset) -> str:
+        """Return what the step has found; empty while it is open."""
+        if self._known is not None:
+            return self._known(preset)
+        if self.work is None:
+            return self.opened
+        found = self.work.found
+        if isinstance(found, Verdict):
+            return f"Boundary off by {found.error_mm:.1f} mm; weakest link: {found.weakest}."
+        return "" if found is None else self.work.sentence.text()
+
+    def failure(self, preset: Preset) -> str:
+        """Return why the newest try failed or ended; empty if there was none."""
+        work = self.work
+        return "" if work is None or work.found is not None or self.known(preset) else work.sentence.text()
+
+    def show_state(self, preset: Preset, left_out: bool, following: bool) -> None:
+        """Show the state; ``following`` is the one next step."""
+        known, failed = self.known(preset), self.failure(preset)
+        busy = self.work is not None and self.work.busy
+        skipped = "Skipped." if self.skipped and not known else ""
+        self._stack.setCurrentIndex(int(busy))
+        self.mark.setText("–" if left_out or skipped else "…" if busy else "✓" if known else "!" if failed else "○")
+        self.mark.tint("error" if failed else "accent" if known else "")
+        self.state.setText(_LEFT_OUT if left_out else known or failed or skipped or self._intro)
+        self.setAutoFillBackground(following)
+        self.setBackgroundRole(QPalette.ColorRole.AlternateBase)
 
 
 class SetUpPanel(QWidget):
-    """Lists the tasks in their order. It starts windows by the main window's own actions."""
+    """*Set up this rig* runs step after step by itself, and stops where a person must act or where a step fails."""
 
     def __init__(self, context: Context, actions: Mapping[str, QAction]) -> None:
         super().__init__()
         self._context = context
         self._info: SourceInfo | None = None
-        self.states: list[QLabel] = []
-        vbox(*(self._make_task(task, actions) for task in TASKS), STRETCH, within=self, margins=8, spacing=16)
+        self._running = False
+        self._again: set[StepRow] = set()
+        document = context.document
+        bias = BiasStep(context)
+        self.source = StepRow(
+            "Source",
+            "Nothing is open.",
+            None,
+            more=[text_button(actions[name]) for name in ("open_source", "cameras")],
+        )
+        self.untouched = StepRow(
+            "Untouched frame",
+            "Nothing may touch the membrane.",
+            UntouchedPanel(context),
+            _captured,
+        )
+        self.noise = StepRow("Noise", "Everything at rest: 60 frames.", NoisePanel(context), _measured)
+        self.alignment = StepRow(
+            "Alignment",
+            "Points on the membrane's texture, found automatically.",
+            AlignmentStep(context),
+            _aligned,
+            two_cameras=True,
+            more=[text_button(actions["calibrate"])],
+        )
+        self.bias = StepRow("Bias", "One firm press, 10 cm² or more, held.", bias, _unbiased, two_cameras=True)
+        self.suggestions = StepRow("Mask, test and limits", "Suggested from the press.", SuggestStep(context, bias))
+        self.verdict = StepRow("Verdict", "How far the boundary of a patch is off.", VerdictStep(context, bias))
+        self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)
+        self.start = push_button("Set up this rig", "Run all open steps in their order; stops where you must act")
+        self.start.setFont(text_font("body", bold=True))
+        self.skip = push_button("S&kip step", "Go on without the marked step")
+        self.start.setDefault(True)
+        self.headline = NoteLabel(lines=4)
+        save = text_button(actions["save"])
+        top = hbox((self.start, 1), self.skip, margins=0)
+        vbox(top, self.headline, *self.rows, hbox(STRETCH, save, margins=0), STRETCH, within=self, margins=8, spacing=6)
         self.setAccessibleName("Set up")
+        self.start.clicked.connect(self.toggle)
+        self.skip.clicked.connect(self._skip)
+        for row in self.rows:
+            if row.work is not None:
+                row.work.ended.connect(self._step_ended)
+                row.work.start.clicked.connect(self._show)
         context.worker.opened.connect(self._opened)
-        context.document.presetChanged.connect(lambda _: self._show())
+        document.presetChanged.connect(lambda _: self._show())
         self._show()
 
-    def _make_task(self, task: Task, actions: Mapping[str, QAction]) -> QWidget:
-        title, state = QLabel(task.title), NoteLabel()
-        title.setFont(text_font("body", bold=True))
-        state.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-        self.states.append(state)
-        made = QWidget()
-        buttons = [text_button(actions[name]) for name in task.actions]
-        vbox(title, state, hbox(*buttons, STRETCH), within=made, margins=0, spacing=4)
-        return made
+    @property
+    def running(self) -> bool:
+        return self._running
+
+    def toggle(self) -> None:
+        """Run the open steps, or all of them again if none is open; or stop."""
+        if self._running:
+            self.stop()
+            return
+        if self._next() is None:
+            self._again = {row for row in self.rows if row.work is not None}
+        self._running = True
+        self._advance()
+
+    def stop(self) -> None:
+        self._running = False
+        for row in self.rows:
+            if row.work is not None:
+                row.work.stop()
+        self._show()
+
+    def close(self) -> bool:
+        """Take no frames any more."""
+        self._running = False
+        for row in self.rows:
+            if row.work is not None:
+                row.work.close_down()
+        return super().close()
+
+    def _left_out(self, row: StepRow) -> bool:
+        return row.two_cameras and self._info is not None and not self._info.rig.has_proximity
+
+    def _next(self) -> StepRow | None:
+        """Return the first step that is open; None if the rig is set up."""
+        if self._info is None:
+            return self.source
+        preset = self._context.document.preset
+        for row in self.rows[1:]:
+            if not self._left_out(row) and not row.skipped and (row in self._again or not row.known(preset)):
+                return row
+        return None
+
+    def _advance(self) -> None:
+        """Begin the next step; without a source, open the cameras."""
+        row = self._next()
+        if not self._running or row is None:
+            self._running = False
+        elif row.work is None:
+            self._running = False
+            self._context.sourceRequested.emit(_CAMERAS)
+        else:
+            row.work.begin()
+        self._show()
+
+    def _step_ended(self, found: bool) -> None:
+        row = next(row for row in self.rows if row.work is self.sender())
+        if found:
+            self._again.discard(row)
+            row.skipped = False
+        self._running = self._running and found
+        if self._running:
+            QTimer.singleShot(0, self._advance)
+        self._show()
+
+    def _skip(self) -> None:
+        row = self._next()
+        if row is not None and row.work is not None:
+            self._again.discard(row)
+            row.skipped = True
+            row.work.stop()
+            self._running = self._next() is not None
+            self._advance()
 
     def _opened(self, info: SourceInfo) -> None:
-        self._info = info
+        """Begin again: what other cameras or another recording showed does not hold here."""
+        self._info, self._again = info, set()
+        for row in self.rows:
+            row.skipped = False
+            if row.work is not None:
+                row.work.found = None
+                row.work.sentence.clear()
+        length = "live" if info.length is None else counted(info.length, "frame")
+        self.source.opened = f"{info.name}, {length}."
         self._show()
 
     def _show(self) -> None:
+        preset, following = self._context.document.preset, self._next()
+        busy = any(row.work is not None and row.work.busy for row in self.rows)
+        for row in self.rows:
+            row.show_state(preset, self._left_out(row), row is following)
+            if row.work is not None:
+                row.work.start.setEnabled(not busy and self._info is not None and not self._left_out(row))
+        self.start.setText("Stop" if self._running else "Set up again" if following is None else "Set up this rig")
+        self.skip.setEnabled(following is not None and following.work is not None)
+        self.headline.setText(self._headline(following))
+
+    def _headline(self, following: StepRow | None) -> str:
         preset = self._context.document.preset
-        for task, label in zip(TASKS, self.states, strict=True):
-            label.setText(task.state(self._info, preset))
+        if following is None:
+            done = "Save the preset; its untouched frame is a second file beside it."
+            work = self.verdict.work
+            return done if work is None or work.found is None else f"{work.sentence.text()} {done}"
+        if following.work is not None and following.work.busy:
+            return f"{following.work.prompt}."
+        return following.failure(preset) or f"Next: {following.title.lower()}."

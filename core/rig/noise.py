@@ -116,27 +116,34 @@ def measure_noise(
         _refuse_movement("proximity", [frame.proximity_depth for frame in different], rig.proximity)
     proximity, tactile = depth_noises(different, rig, lambda share, words: report(0.1 + 0.7 * share, words))
     report(0.8, "Measuring the bias")
-    density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
+    noise = RigNoise(proximity=proximity, tactile=tactile, measured=now(), frames=len(different))
     some = list(different[:: max(len(different) // 10, 1)])  # over the whole time
+    noise = with_bias(noise, some, rig, preset, untouched, contact_bias)
+    report(1.0, "The noise is measured")
+    return noise
+
+
+def with_bias(
+    noise: RigNoise,
+    frames: Sequence[SensorFrame],
+    rig: Rig,
+    preset: Preset,
+    untouched: SensorFrame | None,
+    contact_bias: ContactBias | None = None,
+) -> RigNoise:
+    """Return the noise of a rig with the bias that frames tell, on prints or in firm contact; unknown without these."""
     found: list[MeasuredBias | None] = []
     if rig.has_proximity:
+        density_m4 = noise.proximity.density_m4(rig.proximity.intrinsics.fx)
+        density_m4 += noise.tactile.density_m4(rig.tactile.intrinsics.fx)
         found = [
-            print_bias(some if untouched is None else [untouched, *some], rig, preset, density_m4),
-            pressed_bias(some, contact_bias or firm_contact_bias(preset, rig), density_m4),
+            print_bias(frames if untouched is None else [untouched, *frames], rig, preset, density_m4),
+            pressed_bias(frames, contact_bias or firm_contact_bias(preset, rig), density_m4),
         ]
-    report(1.0, "The noise is measured")
     known = [bias for bias in found if bias is not None] or [MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")]
     bias = min(known, key=lambda bias: bias.sigma_m)
-    return RigNoise(
-        proximity=proximity,
-        tactile=tactile,
-        bias_m=bias.bias_m,
-        bias_sigma_m=bias.sigma_m,
-        bias_from=bias.origin,
-        bias_per_m=bias.per_m,
-        measured=now(),
-        frames=len(different),
-    )
+    values = {"bias_m": bias.bias_m, "bias_sigma_m": bias.sigma_m, "bias_from": bias.origin, "bias_per_m": bias.per_m}
+    return noise.model_copy(update=values)
 
 
 def describe(noise: RigNoise) -> list[str]:

@@ -1,0 +1,212 @@
+"""The steps of the guided set-up beyond untouched frame and noise: alignment, bias, suggestions and verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from ...core.calibration.recheck import is_worse
+from ...core.calibration.report import CalibrationReport, grade
+from ...core.contact.checks import rig_in_use
+from ...core.errors import CalibrationError, TactuneError
+from ...core.model.arrays import Float64Array
+from ...core.model.frames import SensorFrame
+from ...core.preset import RigNoise
+from ...core.rig.noise import describe, with_bias
+from ...core.rig.untouched import load_untouched, tile_medians
+from ...core.rig.verdict import Verdict, judge_rig
+from ...core.tuning.advice.proposal import Evidence
+from ...core.tuning.advice.suggest import AllProposals, suggest_all
+from ...widgets.basics.controls import push_button
+from ..calibration.finder import find_pairs
+from ..calibration.fitting import fit, report_changes
+from ..calibration.session import Choices, SessionState
+from ..calibration.snapshots import FRAMES, take_snapshot
+from ..context import Context
+from ..rig.gather import Gather
+from ..worker.jobs import Progress, Work
+from ..worker.results import SourceInfo
+
+#: A press: image tiles that moved towards the camera by more than this, metres, are more than this share of all.
+_DENT_M, _DENTED = 0.005, 0.03
+#: It is held while 95 % of the tiles stay within this, metres, over this number of frames.
+_HELD_M: Final = 0.002
+_HELD_FRAMES: Final = 8
+#: Frames with which suggestions are made.
+_RECENT: Final = 4
+
+
+def untouched_now(context: Context) -> SensorFrame | None:
+    """Return the preset's untouched frame, also one that was captured a moment ago; None if there is none."""
+    document, frame = context.document, context.worker.recorder.untouched
+    record, home = document.preset.untouched, document.untouched_home
+    if frame is None and record is not None and home is not None:
+        with suppress(TactuneError):
+            frame = load_untouched(record, home)
+    return frame
+
+
+class AlignmentStep(Gather):
+    """Finds points on the membrane's texture and fits the alignment to them."""
+
+    wanted = FRAMES
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(
+            context, push_button("&Find points", "Find points in both colour images and fit the alignment")
+        )
+
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        preset = self._document.preset
+
+        def align(progress: Progress) -> tuple[CalibrationReport, bool, dict[str, Any]]:
+            rig = rig_in_use(preset, info.rig)
+            snapshot = take_snapshot(kept[: self.wanted], 1, info)
+            pairs, _ = find_pairs(Choices(), [snapshot], rig, progress)
+            progress(0.9, "Fitting")
+            outcome = fit(SessionState((snapshot,), tuple(pairs)), rig)
+            if outcome.report is None or not grade(outcome.report.chosen).startswith(("Good", "Usable")):
+                problem = outcome.problem if outcome.report is None else outcome.report.verdict
+                raise CalibrationError(f"the points found do not tell the alignment; click some: {problem}")
+            worse = is_worse(outcome.report, preset)
+            return outcome.report, worse, {} if worse else report_changes(outcome.report, preset, [snapshot])
+
+        return align
+
+    def show_found(self, found: tuple[CalibrationReport, bool, dict[str, Any]]) -> None:
+        report, worse, _ = found
+        kept = " The present alignment is better and stays." if worse else ""
+        self.sentence.setText(f"{grade(report.chosen)}{kept}")
+
+    def changes(self) -> dict[str, Any]:
+        return dict(self.found[2])
+
+
+class _Look(NamedTuple):
+    """A frame, the medians of its tactile image tiles, metres, and whether something presses firmly."""
+
+    frame: SensorFrame
+    tiles_m: Float64Array
+    pressed: bool
+
+
+class BiasStep(Gather):
+    """Waits until an object is pressed firmly and held, and measures the bias there."""
+
+    at_rest = False
+    prompt = "Press an object firmly into the membrane and hold it"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(
+            context,
+            push_button("Measure &bias", "Press an object of 10 cm² or more firmly into the membrane and hold it"),
+        )
+        self._untouched: SensorFrame | None = None
+        self._free_m: Float64Array | None = None
+        #: Frames of the newest press, for the steps that follow.
+        self.pressed: tuple[SensorFrame, ...] = ()
+
+    def begin(self) -> None:
+        result, self._untouched = self._context.result, untouched_now(self._context)
+        if result is not None and not self.busy:
+            if self._untouched is None or self._document.preset.noise is None:
+                self._fail("The bias needs the untouched frame and the noise: measure these first.")
+                return
+            self._free_m = tile_medians(self._untouched.tactile_depth) * result.source.rig.tactile.depth_unit_m
+        super().begin()
+
+    def keep(self, frame: SensorFrame) -> _Look:
+        assert self.info is not None
+        assert self._free_m is not None
+        tiles_m = tile_medians(frame.tactile_depth) * self.info.rig.tactile.depth_unit_m
+        pressed = tiles_m.shape == self._free_m.shape and bool(np.mean(self._free_m - tiles_m > _DENT_M) > _DENTED)
+        return _Look(frame, tiles_m, pressed)
+
+    def share(self, kept: Sequence[_Look]) -> float:
+        return len(_held(kept)) / _HELD_FRAMES
+
+    def work(self, kept: list[_Look], info: SourceInfo) -> Work:
+        held, noise, preset, untouched = (
+            _held(kept),
+            self._document.preset.noise,
+            self._document.preset,
+            self._untouched,
+        )
+        pressed = tuple(look.frame for look in held or [look for look in kept if look.pressed])
+        assert noise is not None
+
+        def measure(_: Progress) -> RigNoise:
+            found = with_bias(noise, pressed, info.rig, preset, untouched)
+            if found.bias_from == "unknown":
+                raise CalibrationError("no firm press was seen; press an object of 10 cm² or more, and hold it")
+            self.pressed = pressed
+            return found
+
+        return measure
+
+    def show_found(self, found: RigNoise) -> None:
+        self.sentence.setText(describe(found)[-1])
+
+    def changes(self) -> dict[str, Any]:
+        return {"noise": self.found.model_dump()}
+
+
+def _held(looks: Sequence[_Look]) -> list[_Look]:
+    """Return the newest looks at a press that is held still."""
+    held: list[_Look] = []
+    for look in reversed(looks):
+        if not look.pressed or (held and np.nanpercentile(np.abs(look.tiles_m - held[0].tiles_m), 95) > _HELD_M):
+            break
+        held.append(look)
+    return held[::-1]
+
+
+class SuggestStep(Gather):
+    """Takes over the suggestions for mask, test and limits, as one undo step."""
+
+    at_rest = False
+    wanted = _RECENT
+
+    def __init__(self, context: Context, bias: BiasStep) -> None:
+        super().__init__(context, push_button("&Suggest", "Measure mask, contact test and limits, and take them over"))
+        self._bias = bias
+
+    def at_hand(self) -> list[SensorFrame]:
+        return list(self._bias.pressed[-_RECENT:])
+
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        preset, untouched = self._document.preset, untouched_now(self._context)
+        return lambda progress: suggest_all(Evidence(preset, info.rig, tuple(kept[-_RECENT:]), untouched), progress)
+
+    def show_found(self, found: AllProposals) -> None:
+        taken = [part.label for part in found.parts if part.changes]
+        self.sentence.setText(f"{'. '.join(taken) or 'Nothing to change'}.")
+
+    def changes(self) -> dict[str, Any]:
+        return dict(self.found.merged.changes)
+
+
+class VerdictStep(Gather):
+    """Judges the preset on the press: the error of a patch's boundary and the weakest link."""
+
+    at_rest = False
+
+    def __init__(self, context: Context, bias: BiasStep) -> None:
+        super().__init__(context, push_button("&Judge", "Tell the error of a patch's boundary, and what limits it"))
+        self._bias = bias
+
+    def at_hand(self) -> list[SensorFrame]:
+        return list(self._bias.pressed[-1:])
+
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        preset, untouched = self._document.preset, untouched_now(self._context)
+        return lambda _: judge_rig(preset, info.rig, kept[-1], untouched)
+
+    def show_found(self, found: Verdict) -> None:
+        self.sentence.setText(found.sentence)
+
+    def changes(self) -> dict[str, Any]:
+        return {}

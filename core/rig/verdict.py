@@ -1,0 +1,72 @@
+"""The verdict on a rig that was set up: how far the boundary of a patch is off, and which measurement limits it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from ..contact.pipeline import ContactPipeline
+from ..errors import CalibrationError
+from ..model.frames import Rig, SensorFrame
+from ..preset import Preset
+
+Link = Literal["alignment", "bias", "noise", "missing depth"]
+#: Standard deviation of a bias that is as good as known, metres.
+_KNOWN_BIAS_M = 0.0001
+_ADVICE: Mapping[Link, str] = {
+    "alignment": "more points, at another inflation, improve it",
+    "bias": "a firm press of a larger object measures it better",
+    "noise": "averaged frames reduce it where the object does not move",
+    "missing depth": "light the membrane evenly, and check that the tactile camera sees all of it",
+}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Expected error of a patch's boundary and its share by each link, millimetres; reasons for doubt in words."""
+
+    error_mm: float
+    links: Mapping[Link, float]
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def weakest(self) -> Link:
+        return max(self.links, key=lambda link: self.links[link])
+
+    @property
+    def sentence(self) -> str:
+        """The error, the weakest link and what improves it."""
+        doubts = f" In doubt: {', '.join(self.reasons)}." if self.reasons else ""
+        return (
+            f"The boundary of a patch is off by about {self.error_mm:.1f} mm. Weakest link: {self.weakest} "
+            f"({self.links[self.weakest]:.1f} mm); {_ADVICE[self.weakest]}.{doubts}"
+        )
+
+
+def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorFrame | None) -> Verdict:
+    """Judge a preset on a frame in which an object is pressed into the membrane."""
+    pipeline = ContactPipeline(preset, rig, untouched)
+    patch = pipeline.process(pressed)
+    if not len(patch.points):
+        raise CalibrationError("the preset finds no contact in the frame; press an object in and judge again")
+    links: dict[Link, float] = {}
+    record = preset.alignment.calibration
+    if record is not None and rig.has_proximity:
+        links["alignment"] = record.quality.boundary_error_mm
+    doubt, facts = patch.doubt, patch.membrane
+    if facts is not None and math.isfinite(doubt.boundary_error_mm):
+        rest_mm = doubt.boundary_error_mm
+        if preset.noise is not None:  # how much smaller the error would be with a known bias
+            known = preset.noise.model_copy(update={"bias_sigma_m": _KNOWN_BIAS_M})
+            pipeline.update(preset.model_copy(update={"noise": known}))
+            rest_mm = min(rest_mm, pipeline.process(pressed).doubt.boundary_error_mm)
+            links["bias"] = math.sqrt(doubt.boundary_error_mm**2 - rest_mm**2)
+        links["missing depth" if "too little depth" in doubt.reasons else "noise"] = rest_mm
+    if not links:
+        raise CalibrationError(
+            f"nothing tells the error of the boundary: the {preset.contact_test} test has no bound of its own, and the "
+            "alignment was not calibrated; calibrate it"
+        )
+    return Verdict(math.sqrt(sum(each**2 for each in links.values())), links, doubt.reasons)

@@ -1,0 +1,96 @@
+"""The guided set-up by mouse: from an empty preset to the verdict, where it stops, and what a person may do there."""
+
+import pytest
+from PyQt6.QtTest import QTest
+
+from fakes import FakeCameras, FakeSource, tiny_rig
+from hands import LEFT, show_source
+from tactune.app.setup.panel import SetUpPanel
+from tactune.core.model.frames import Rig
+from tactune.core.preset import CameraNoise, Preset, RigNoise, now
+
+
+@pytest.fixture
+def set_up(qtbot, make_window):
+    """The panel of a window with an empty preset."""
+    window = make_window(Preset())
+    panel = SetUpPanel(
+        window.context,
+        {name: getattr(window.actions_, name) for name in ("open_source", "cameras", "calibrate", "save")},
+    )
+    qtbot.addWidget(panel, before_close_func=lambda panel: panel.close())
+    panel.window_ = window
+    panel.show()
+    return panel
+
+
+def click(button):
+    assert button.isEnabled()
+    QTest.mouseClick(button, LEFT)
+
+
+def marks(panel):
+    return "".join(row.mark.text() for row in panel.rows)
+
+
+def test_one_click_sets_up_the_simulated_rig(qtbot, set_up):
+    window = set_up.window_
+    window.open_source("sim:cup")
+    qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
+    click(set_up.start)
+    qtbot.waitUntil(lambda: not set_up.running, timeout=300_000)
+    assert marks(set_up) == "✓" * len(set_up.rows), set_up.headline.text()
+    preset, verdict = window.document.preset, set_up.verdict.work.found
+    assert preset.untouched is not None
+    assert preset.alignment.calibration.quality.alignment_px < 0.6
+    assert preset.noise.bias_from == "contact"
+    assert preset.mask.enabled and preset.contact_test == "membrane"
+    assert 0.3 < verdict.error_mm < 3 and verdict.weakest in verdict.links
+    window.document.undo_stack.undo()  # each step is one: the suggestions go
+    assert not window.document.preset.mask.enabled and window.document.preset.noise is not None
+
+
+def failed(panel):
+    """The row at which the run has stopped."""
+    [row] = [row for row in panel.rows if row.mark.text() == "!"]
+    return row
+
+
+def test_it_stops_at_a_step_that_fails_and_goes_on_without_it(qtbot, set_up):
+    show_source(qtbot, set_up.window_, FakeSource(40), 0)
+    click(set_up.start)
+    qtbot.waitUntil(lambda: not set_up.running, timeout=60_000)
+    assert set_up.window_.document.preset.untouched is not None
+    first = failed(set_up)
+    assert set_up.headline.text() == first.work.sentence.text() != ""
+    click(set_up.skip)
+    qtbot.waitUntil(lambda: not set_up.running, timeout=60_000)
+    assert first.mark.text() == "–"
+    assert failed(set_up) is not first
+    click(first.work.start)  # a skipped step can still be done
+    qtbot.waitUntil(lambda: not first.work.busy, timeout=60_000)
+    assert first.mark.text() == "–"
+
+
+def test_waiting_for_a_press_is_cancelled_and_changes_nothing(qtbot, set_up):
+    window, cameras = set_up.window_, FakeCameras()
+    cameras.release()
+    show_source(qtbot, window, cameras)
+    cameras.run()
+    click(set_up.untouched.work.start)
+    qtbot.waitUntil(lambda: window.document.preset.untouched is not None, timeout=60_000)
+    qtbot.waitUntil(lambda: not set_up.untouched.work.busy)
+    camera = CameraNoise(white_m=1e-4, correlated_m=1e-3, length_px=3, changing_share=0.5, distance_m=0.3)
+    noise = RigNoise(proximity=camera, tactile=camera, measured=now(), frames=60)
+    window.document.edit("noise", noise.model_dump())
+    click(set_up.bias.work.start)
+    qtbot.waitUntil(lambda: set_up.bias.mark.text() == "…")
+    click(set_up.bias.work.cancel)
+    assert set_up.bias.mark.text() == "!" and not set_up.bias.work.busy
+    assert window.document.preset.noise == noise
+
+
+def test_a_rig_with_one_camera_leaves_steps_out(qtbot, set_up):
+    show_source(qtbot, set_up.window_, FakeSource(rig=Rig.of_one_camera(tiny_rig().tactile)), 3)
+    assert marks(set_up)[3:5] == "––"
+    assert not set_up.bias.work.start.isEnabled()
