@@ -1,4 +1,4 @@
-"""What recordings have in common that other programs made: cameras, and frames of images that belong together."""
+"""What recordings have in common: cameras, and frames of images that belong together."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class RecordedSource(SeekableSource):
     """One or two cameras of a recording; images of two are paired by time, at most half a period apart.
 
     The first camera of two is the proximity camera. ``lacks`` are clauses about what the recording lacks; ``resources``
-    are closed with the source.
+    are closed with the source; ``rig`` is that of the cameras, if the recording states it.
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class RecordedSource(SeekableSource):
         resources: ExitStack,
         lacks: Sequence[str] = (),
         T_proximity_tactile: Matrix4 | None = None,
+        rig: Rig | None = None,
     ) -> None:
         self._cameras, self._resources, self._lacks = cameras, resources, list(lacks)
         self._is_open = True
@@ -68,10 +69,10 @@ class RecordedSource(SeekableSource):
         resources.callback(self._helper.shutdown, cancel_futures=True)
         first, last = cameras[0], cameras[-1]
         if len(cameras) == 1:
-            rig = Rig.of_one_camera(first.calibration.depth)
+            rig = rig or Rig.of_one_camera(first.calibration.depth)
             self._first = self._second = np.argsort(first.times_s, kind="stable")
         else:
-            rig = Rig(
+            rig = rig or Rig(
                 proximity=first.calibration.depth,
                 tactile=last.calibration.depth,
                 proximity_color=first.calibration.color_camera,
@@ -113,7 +114,10 @@ class RecordedSource(SeekableSource):
         proximity, tactile = self._cameras[0], self._cameras[-1]
         first, second = int(self._first[index]), int(self._second[index])
         if not self._rig.has_proximity:
-            return SensorFrame.of_shots(self._rig, index, None, tactile.shot(second, on_depth=True))
+            return self._frame(index, None, tactile.shot(second, on_depth=True))
         waiting = self._helper.submit(tactile.shot, second, on_depth=True)
         shot = proximity.shot(first, on_depth=False)
-        return SensorFrame.of_shots(self._rig, index, shot, waiting.result())
+        return self._frame(index, shot, waiting.result())
+
+    def _frame(self, index: int, proximity: Shot | None, tactile: Shot) -> SensorFrame:
+        return SensorFrame.of_shots(self._rig, index, proximity, tactile)

@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from threading import Lock
 from typing import Final
 
 import lz4.frame
@@ -25,9 +26,10 @@ from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
 from ...errors import SourceError, TactuneError
-from ...model.arrays import Uint64Array
+from ...model.arrays import Int64Array, Uint64Array
 from ..base import Progress
 from ..ros_image import damage_told
+from .bag import Bag, long_name
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
@@ -37,15 +39,18 @@ _MOST_MESSAGES: Final = 2**20
 _CACHED_CHUNKS, _CACHED_BYTES = 8, 2**27
 
 
-class McapFile:
-    """An MCAP file, open for reading; ``complete`` unless its writer was killed, so that its last chunk is missing.
+class McapBag(Bag):
+    """A ROS bag in MCAP; ``complete`` unless its writer was killed, so that its last chunk is missing.
 
     Opening reads the head of every record up to the first damage. Messages are not decompressed, unless a chunk has no
-    index of its own. ``topics`` has the type and encoding of the messages of each topic that has some.
+    index of its own. ``kinds`` has the type and encoding of the messages of each topic that has some; ``types`` those
+    that ROS programs can have written.
     """
 
     def __init__(self, path: Path, progress: Progress | None = None) -> None:
+        super().__init__()
         self.path, self._progress = path, progress
+        self._lock = Lock()
         self._cache: OrderedDict[int, memoryview] = OrderedDict()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -62,25 +67,34 @@ class McapFile:
         except BaseException:
             self.close()
             raise
-        self._numbers: defaultdict[str, list[int]] = defaultdict(list)
-        self.topics: dict[str, tuple[str, str]] = {}
+        numbers: defaultdict[str, list[int]] = defaultdict(list)
+        self.kinds: dict[str, tuple[str, str]] = {}
         for number, channel in self._channels.items():
             if number in self._places:
                 schema = self._schemas.get(channel.schema_id)
-                self._numbers[channel.topic].append(number)
-                self.topics[channel.topic] = ("" if schema is None else schema.name, channel.message_encoding)
+                numbers[channel.topic].append(number)
+                self.kinds[channel.topic] = ("" if schema is None else schema.name, channel.message_encoding)
+        self.types = {topic: long_name(kind) for topic, (kind, how) in self.kinds.items() if how in ("cdr", "ros1")}
+        #: Log time (ns), chunk and offset of each message of a topic, in the order of log time.
+        self._tables = {topic: self._table(each) for topic, each in numbers.items()}
+        self._places.clear()
 
-    def places(self, topic: str) -> Uint64Array:
-        """Return log time (ns), chunk and offset of each message of a topic, in the order of log time."""
-        found = [np.frombuffer(self._places[number], np.uint64) for number in self._numbers.get(topic, [])]
-        table = np.concatenate([*found, np.empty(0, np.uint64)]).reshape(-1, 3)
+    def _table(self, numbers: list[int]) -> Uint64Array:
+        table = np.concatenate([np.frombuffer(self._places[number], np.uint64) for number in numbers]).reshape(-1, 3)
         return table[np.argsort(table[:, 0], kind="stable")]
 
-    def message(self, place: Uint64Array) -> memoryview:
-        if self._file.closed:
-            raise SourceError(f"{self.path} is closed; open it again")
-        with damage_told(self.path, "it is damaged"):
-            chunk, offset = int(place[1]), int(place[2])
+    def is_ros1(self, topic: str) -> bool:
+        return self.kinds[topic][1] == "ros1"
+
+    def count(self, topic: str) -> int:
+        return len(self._tables.get(topic, ()))
+
+    def times_ns(self, topic: str) -> Int64Array:
+        return self._tables[topic][:, 0].astype(np.int64) if topic in self._tables else np.empty(0, np.int64)
+
+    def raw(self, topic: str, index: int) -> memoryview:
+        with self._lock, damage_told(self.path, "it is damaged"):
+            _, chunk, offset = map(int, self._tables[topic][index])
             data = self._chunk_data(chunk)
             opcode, length = struct.unpack_from("<BQ", data, offset)
             if opcode != Opcode.MESSAGE or not 22 <= length <= len(data) - offset - 9:

@@ -10,7 +10,6 @@ import sqlite3
 import struct
 import sys
 import tempfile
-from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -23,14 +22,13 @@ from typing import Any, Final
 import numpy as np
 from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
 from ..base import Progress, part_of
-from ..mcap.messages import TRANSFORMS, TYPES
-from ..mcap.reader import MAGIC, McapFile
+from ..mcap.bag import Bag, long_name
+from ..mcap.reader import MAGIC, McapBag
 from ..ros_image import DamagedFileError, damage_told
 
 if sys.version_info >= (3, 14):
@@ -48,84 +46,6 @@ _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _CACHED_CHUNKS: Final = 4
 #: A message unpacks to at most the first number of bytes, a file to that and the second number for each of its bytes.
 _MAX_UNPACKED_BYTES, _MAX_RATIO = 200_000_000, 200
-#: Types of poses, of which the library knows ROS 2's only.
-POSES: Final = (TRANSFORMS, "tf/msg/tfMessage")
-_ROS1 = get_typestore(Stores.ROS1_NOETIC)
-for _name in POSES:
-    _ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _name))
-
-
-class Bag(ABC):
-    """Messages of a recording, and their type by topic; not ``complete`` if its recorder was killed."""
-
-    complete = True
-
-    def __init__(self) -> None:
-        self.types: dict[str, str] = {}
-
-    @abstractmethod
-    def count(self, topic: str) -> int:
-        """Return the number of messages of a topic; 0 without the topic."""
-
-    @abstractmethod
-    def raw(self, topic: str, index: int) -> memoryview:
-        """Return the bytes of a message, by its number in the order of the recorder's clock."""
-
-    @abstractmethod
-    def times_ns(self, topic: str) -> Int64Array:
-        """Return when each message of a topic was recorded."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the file; twice is harmless."""
-
-    def is_ros1(self, topic: str) -> bool:
-        """Whether the bytes of a topic's messages are ROS 1's, not CDR."""
-        return False
-
-    def message(self, topic: str, index: int) -> Any:
-        data, kind = self.raw(topic, index), self.types[topic]
-        return _ROS1.deserialize_ros1(bytes(data), kind) if self.is_ros1(topic) else TYPES.deserialize_cdr(data, kind)
-
-    def stamp_ns(self, topic: str, index: int) -> int:
-        """Return the stamp in the header with which a message begins; no image is unpacked for it."""
-        data = self.raw(topic, index)
-        order = "<" if self.is_ros1(topic) or data[1] & 1 else ">"  # the second byte of CDR
-        seconds, nanoseconds = struct.unpack_from(order + "II", data, 4)  # both put four bytes in front
-        return int(seconds) * 10**9 + int(nanoseconds)
-
-
-class McapBag(Bag):
-    """A ROS bag in MCAP."""
-
-    def __init__(self, path: Path, progress: Progress | None) -> None:
-        super().__init__()
-        self._lock = Lock()
-        self._file = McapFile(path, progress)
-        self.complete = self._file.complete
-        self._encodings = {topic: encoding for topic, (_, encoding) in self._file.topics.items()}
-        self.types = {
-            topic: _long_name(kind)
-            for topic, (kind, encoding) in self._file.topics.items()
-            if encoding in ("cdr", "ros1")
-        }
-        self._places = {topic: self._file.places(topic) for topic in self.types}
-
-    def is_ros1(self, topic: str) -> bool:
-        return self._encodings[topic] == "ros1"
-
-    def count(self, topic: str) -> int:
-        return len(self._places.get(topic, ()))
-
-    def raw(self, topic: str, index: int) -> memoryview:
-        with self._lock:
-            return self._file.message(self._places[topic][index])
-
-    def times_ns(self, topic: str) -> Int64Array:
-        return self._places[topic][:, 0].astype(np.int64)
-
-    def close(self) -> None:
-        self._file.close()
 
 
 class SqliteBag(Bag):
@@ -142,7 +62,7 @@ class SqliteBag(Bag):
             for number, topic, kind in topics:
                 query = "SELECT timestamp, id FROM messages WHERE topic_id = ?"
                 if rows := self._select(query, number):
-                    self.types[topic] = _long_name(kind)
+                    self.types[topic] = long_name(kind)
                     self._rows[topic] += [(int(time_ns), int(row)) for time_ns, row in rows]
             for found in self._rows.values():
                 found.sort()
@@ -395,9 +315,3 @@ def _number(path: Path) -> tuple[int, str]:
     """Return what puts the files of a recording, ``NAME_0.mcap`` and so on, in order."""
     found = re.search(r"_(\d+)\.", path.name)
     return int(found[1]) if found else 0, path.name
-
-
-def _long_name(kind: str) -> str:
-    """Return a message type as ROS 2 writes it: ``sensor_msgs/msg/Image``."""
-    package, _, name = kind.partition("/")
-    return kind if name.startswith("msg/") else f"{package}/msg/{name}"

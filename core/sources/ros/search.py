@@ -12,8 +12,8 @@ import numpy as np
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
 from ..base import Progress
+from ..mcap.bag import Bag
 from ..mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS
-from .bags import Bag
 from .dds import Listener, Reader
 from .source import Frames
 from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, survey

@@ -18,9 +18,9 @@ from ...errors import ExportError, SourceError, counted, foreign
 from ...model.files import atomic_path
 from ...model.loading import read_json
 from ..base import split_topics
+from ..mcap.bag import Bag
 from ..mcap.messages import CAMERA_INFO, IMAGE
 from ..ros_image import DamagedFileError, RawImage
-from .bags import Bag
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 #: What a person may name, as in ``proximity.depth=/camera/depth/image_rect_raw``.

@@ -11,7 +11,7 @@ import pytest
 from tactune.core.errors import AdviceError, SourceError
 from tactune.core.output import SessionWriter, bag
 from tactune.core.sources.mcap.messages import Topic
-from tactune.core.sources.mcap.reader import MAGIC, McapFile
+from tactune.core.sources.mcap.reader import MAGIC, McapBag
 from tactune.core.sources.mcap.source import McapSource
 
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
@@ -126,6 +126,6 @@ def test_a_recording_keeps_one_pose_of_each_of_its_frames(tmp_path, rig, make_fr
         writer.put(frame, wait=True)
         for sequence in (frame.sequence, frame.sequence, frame.sequence + 1):
             writer.put_pose(np.eye(4), np.eye(6), sequence, 0.0)
-    file = McapFile(path, None)
-    assert len(file.places(Topic.OBJECT_POSE)) == 1
+    file = McapBag(path)
+    assert file.count(Topic.OBJECT_POSE) == 1
     file.close()
