@@ -8,10 +8,7 @@ import pytest
 from kinds import KINDS
 from tactune.core.errors import ExportError
 
-#: A picture that is there is replaced, since the dialog has asked, but none that was made while this one was written.
-WRITERS = {name: kind.new for name, kind in KINDS.items() if kind.new and not kind.grows} | {
-    "picture": KINDS["picture"].write
-}
+WRITERS = {name: kind.new for name, kind in KINDS.items() if kind.new and not kind.grows}
 
 
 @pytest.mark.parametrize("links", [True, False])
