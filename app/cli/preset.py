@@ -197,7 +197,7 @@ def _refuse_contact(preset: Preset, rig: Rig, membrane: SensorFrame) -> None:
     patch = ContactPipeline(preset, rig).process(membrane)
     if len(patch.points):
         raise CalibrationError(
-            f"the preset finds contact of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched; "
+            f"the preset finds contact of {patch.area_mm2:,.0f} mm2 on a membrane that should be untouched; "
             "remove what touches the membrane or is close to it, and capture again, or keep it with --force"
         )
 

@@ -238,8 +238,8 @@ def _summary(records: list[Record], source: str, preset: str) -> list[str]:
     touched = [record["area_mm2"] for record in records if record["points"]]
     contact = "no contact in any of them"
     if touched:
-        least, most, middle = min(touched) / 100, max(touched) / 100, median(touched) / 100
-        contact = f"contact in {len(touched)} of them, patch {least:.1f} to {most:.1f} cm2, median {middle:.1f} cm2"
+        least, most, middle = min(touched), max(touched), median(touched)
+        contact = f"contact in {len(touched)} of them, patch {least:,.0f} to {most:,.0f} mm2, median {middle:,.0f} mm2"
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())

@@ -245,7 +245,8 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
     if len(paths) == 1:
         value = preset.value(paths[0])
         title = field_title(paths[0])
-        return title if isinstance(value, BaseModel) else f"{title} {shown_value(paths[0], value)}"
+        short = not isinstance(value, BaseModel) and not (isinstance(value, tuple) and isinstance(value[0], tuple))
+        return f"{title} {shown_value(paths[0], value)}" if short else title
     sections = sorted({path.split(".")[0] for path in paths})
     return f"{', '.join(sections)} ({len(paths)} values)"
 

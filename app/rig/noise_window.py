@@ -26,7 +26,7 @@ _NOISE_INTRO: Final = (
 )
 _BIAS_INTRO: Final = (
     " The bias is measured on prints of the mask's colour, which both cameras see, and where an object is pressed "
-    "firmly into the membrane (10 cm² or more)."
+    "firmly into the membrane (1,000 mm² or more)."
 )
 
 

@@ -157,7 +157,7 @@ class SetUpPanel(QWidget):
             two_cameras=True,
             more=[text_button(actions["calibrate"])],
         )
-        self.bias = StepRow("Bias", "One firm press, 10 cm² or more, held.", bias, _unbiased, two_cameras=True)
+        self.bias = StepRow("Bias", "One firm press, 1,000 mm² or more, held.", bias, _unbiased, two_cameras=True)
         self.suggestions = StepRow("Mask, test and limits", "Suggested from the press.", SuggestStep(context, bias))
         self.verdict = StepRow("Verdict", "How far the boundary of a patch is off.", VerdictStep(context, bias))
         self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)

@@ -102,7 +102,7 @@ class BiasStep(Gather):
     def __init__(self, context: Context) -> None:
         super().__init__(
             context,
-            push_button("Measure &bias", "Press an object of 10 cm² or more firmly into the membrane and hold it"),
+            push_button("Measure &bias", "Press an object of 1,000 mm² or more firmly into the membrane and hold it"),
         )
         self._untouched: SensorFrame | None = None
         self._free_m: Float64Array | None = None
@@ -141,7 +141,7 @@ class BiasStep(Gather):
         def measure(_: Progress) -> RigNoise:
             found = with_bias(noise, pressed, info.rig, preset, untouched)
             if found.bias_from == "unknown":
-                raise CalibrationError("no firm press was seen; press an object of 10 cm² or more, and hold it")
+                raise CalibrationError("no firm press was seen; press an object of 1,000 mm² or more, and hold it")
             self.pressed = pressed
             return found
 

@@ -300,4 +300,4 @@ def _load(name: str, place: Path | str) -> Side:
 
 
 def _square_cm(area_mm2: float | None) -> str:
-    return "–" if area_mm2 is None else f"{area_mm2 / 100:.2f} cm²"
+    return "–" if area_mm2 is None else f"{area_mm2:,.0f} mm²"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from PyQt6.QtCore import QObject
 
@@ -13,12 +13,17 @@ from ...core.preset import Preset, now
 from ...core.sources.presets import load_preset
 from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
+from ..document.comparison import differing_fields
+from ..document.document import describe_edit
 from ..document.keeping import Autosave, UnsavedWork, unsaved_work
 from ..sources.pages import recording_name
 from ..worker.results import SourceInfo
 from .actions import Actions
 
 PRESET_FILTER = "Presets (*.json)"
+#: Fields that say what a preset is called and made for, and number of values of a recording that a message names.
+_LABELS: Final = ("name", "notes", "rig")
+_SHOWN_VALUES: Final = 2
 
 
 class FileFlows(QObject):
@@ -53,15 +58,19 @@ class FileFlows(QObject):
         self.guarded(lambda: self._told(lambda: self._document.new(load_preset(shipped).model_copy(update=changes))))
 
     def offer_preset(self, preset: Preset | None) -> None:
-        """Offer the preset in a recording, unless it is already in use."""
-        if preset is None or preset == self._document.preset:
+        """Offer the values with which a recording was made, unless they are in use."""
+        before = self._document.preset
+        changed = [] if preset is None else [path for path in differing_fields(before, preset) if path not in _LABELS]
+        if preset is None or not changed:
             self._messages.clear("recorded preset")
             return
+        shown = [describe_edit(preset, (path,)) for path in changed[:_SHOWN_VALUES]]
+        more = f" and {len(changed) - len(shown)} more" if len(changed) > len(shown) else ""
         self._messages.show_message(
             "recorded preset",
             Severity.INFO,
-            f"This recording contains the preset {preset.name!r}; {self._document.preset.name!r} is in use.",
-            [("Use recorded preset", lambda: self.guarded(lambda: self._document.new(preset)))],
+            f"The recording was made with other values ({', '.join(shown)}{more}). Use them?",
+            [("Use them", lambda: self.guarded(lambda: self._document.new(preset)))],
             subject=SOURCE,
         )
 
@@ -134,12 +143,15 @@ class FileFlows(QObject):
             self._settings.remove_recent("presets", str(path))
 
     def _write_preset(self, path: Path, then: Callable[[], object] | None) -> None:
-        elsewhere = path != self._document.path
+        elsewhere, captured = path != self._document.path, self._document.baseline.untouched
         self._complete(path)
         if not self._told(lambda: self._document.save(path)):
             return
-        if elsewhere:
+        record = self._document.preset.untouched
+        if elsewhere or record != captured:
             sentence = f"The preset was saved in {path}."
+            if record is not None:
+                sentence += f" Its untouched frame is a second file beside it, {record.file}."
             self._messages.show_message("saved", Severity.INFO, sentence, subject=TASK)
         self._remember(path)
         if then is not None:

@@ -83,7 +83,7 @@ class FrameStatus(QStatusBar):
             button.hide()
             self.addPermanentWidget(button)
         self._rate = self._number("000 fps", "Frames per second drawn")
-        self._area = self._number("patch 0000.0 cm², touches 100 %", "")
+        self._area = self._number("patch 000,000 mm², touches 100 %", "")
 
     def show_source(self, info: SourceInfo) -> None:
         rig = info.rig
@@ -123,7 +123,7 @@ class FrameStatus(QStatusBar):
         self.details.show_result(result, shown_fps)
 
     def _show_patch(self, result: Result) -> None:
-        words = "" if result.patch is None else f"patch {result.area_mm2 / 100:.1f} cm²"
+        words = "" if result.patch is None else f"patch {result.area_mm2:,.0f} mm²"
         tip = "Area of the patch, projected along the optical axis"
         if (doubt := result.doubt) is not None and result.area_mm2 > 0:
             words += f", touches {math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched

@@ -125,9 +125,9 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
     assert cells(panel.table) == [["Tolerance t", "3 %", "10 %"]]
     only_b = shown.b.patch.mask & ~shown.a.patch.mask
     depth_m = shown.b.patch.points[only_b[shown.b.patch.mask], 2]
-    area_cm2 = 1e4 * pixel_areas_m2(depth_m, RIG.proximity.intrinsics).sum()
-    assert panel.numbers["Not in the other", 1].text() == f"{area_cm2:.2f} cm²"
-    assert panel.numbers["Not in the other", 0].text() == "0.00 cm²"
+    area_mm2 = 1e6 * pixel_areas_m2(depth_m, RIG.proximity.intrinsics).sum()
+    assert panel.numbers["Not in the other", 1].text() == f"{area_mm2:,.0f} mm²"
+    assert panel.numbers["Not in the other", 0].text() == "0 mm²"
     assert panel.numbers["Points", 0].text() == f"{len(shown.a.patch.points):,}"
     share = len(shown.a.patch.points) / len(shown.b.patch.points)
     assert panel.numbers["IoU of the patches", 1].text() == f"{share:.3f}"

@@ -13,6 +13,7 @@ from hands import CONTROL, LEFT, show_source, type_path
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
+from tactune.widgets.basics.fields import format_number
 
 LENGTH = 24
 
@@ -144,6 +145,6 @@ def show_live(qtbot, window, live):
         plot = window.time_strip.plot_widget
         QTest.mouseMove(plot.viewport(), QPoint(plot.width() // 2, 30))
         QTest.mouseMove(plot.viewport(), QPoint(plot.width() - 12, 30))
-        return f"{area / 100:.3g} cm²" in window.time_strip.words
+        return f"{format_number(area, 3)} mm²" in window.time_strip.words
 
     qtbot.waitUntil(hovered)

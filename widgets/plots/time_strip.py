@@ -24,20 +24,19 @@ from .plot import Plot
 
 @dataclass(frozen=True)
 class Curve:
-    """One value over time: its key in the series, title, unit, factor from the series to the unit, and tooltip."""
+    """One value over time: its key in the series, title, unit and tooltip."""
 
     key: str
     title: str
     unit: str
-    factor: float
     tip: str
 
 
 CURVES: Final = (
-    Curve("area_mm2", "Area", "cm²", 0.01, "Area of the patch in cm², projected along the optical axis"),
-    Curve("points", "Points", "points", 1.0, "Number of points of the patch"),
-    Curve("ms", "Time", "ms", 1.0, "Time of the contact test in milliseconds, computed in the background on one core"),
-    Curve("iou", "IoU", "", 1.0, "Overlap of patch and true contact, 0 to 1; only for sources that know the truth"),
+    Curve("area_mm2", "Area", "mm²", "Area of the patch in mm², projected along the optical axis"),
+    Curve("points", "Points", "points", "Number of points of the patch"),
+    Curve("ms", "Time", "ms", "Time of the contact test in milliseconds, computed in the background on one core"),
+    Curve("iou", "IoU", "", "Overlap of patch and true contact, 0 to 1; only for sources that know the truth"),
 )
 #: Time that a live source shows, seconds.
 LIVE_S: Final = 60.0
@@ -225,7 +224,7 @@ class TimeStrip(QWidget):
 
     def _draw(self) -> None:
         curve = self.curve
-        shown = self._values.get(curve.key, np.full(len(self._seconds), math.nan)) * curve.factor
+        shown = self._values.get(curve.key, np.full(len(self._seconds), math.nan))
         known = np.flatnonzero(self._computed)
         self._line.setData(self._seconds[known], shown[known])
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
@@ -274,7 +273,7 @@ class TimeStrip(QWidget):
         if not len(self._seconds):
             return
         index, curve = self._frame_at(time_s), self.curve
-        value = float(self._values[curve.key][index]) * curve.factor
+        value = float(self._values[curve.key][index])
         known = f"{minus(format_number(value, 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
         self._write(f"{place}: {known}")

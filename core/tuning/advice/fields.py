@@ -119,7 +119,7 @@ def error_curve(path: str, evidence: Evidence, progress: Progress = lambda share
     values = np.unique([*TRIED[section][path], default, present])
     measured = np.zeros((len(values), len(examples), 2))
     for number, value in enumerate(values):
-        progress(number / len(values), f"Trying {path} = {value:g}")
+        progress(number / len(values), f"Trying {_NAMES[path]} {_shown(path, value)}")
         tried = preset.with_value(path, float(value))
         for index, (example, pipeline, areas) in enumerate(zip(examples, pipelines, areas_mm2, strict=True)):
             pipeline.update(tried)
@@ -181,4 +181,6 @@ def _proposal(evidence: Evidence, section: str, changes: Mapping[str, Any], sent
 def _shown(path: str, value: float) -> str:
     if path.endswith("_m"):
         return f"{1e3 * value:g} mm"
+    if path == "tolerance.t":
+        return f"{100 * value:g} %"
     return f"{value:g} mm²" if path.endswith("_mm2") else f"{value:g}"

@@ -46,9 +46,9 @@ _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
 #: be told from noise, metres.
 _BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
 _SMALLEST: Final = {
-    "membrane": "membrane.min_area_mm2",
-    "tolerance": "outliers.min_cluster_area_mm2",
-    "dent": "dent.min_area_mm2",
+    "membrane": ("membrane.min_area_mm2", "Smallest contact"),
+    "tolerance": ("outliers.min_cluster_area_mm2", "Smallest cluster"),
+    "dent": ("dent.min_area_mm2", "Smallest dent area"),
 }
 
 
@@ -278,14 +278,14 @@ def false_contact(it: Situation) -> Finding | None:
     largest_mm2 = 1e6 * float(stats[1:, cv2.CC_STAT_AREA].max()) * depth_m**2 / (lens.fx * lens.fy)
     places = counted(len(stats) - 1, "place")
     sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
-    field = _SMALLEST[it.preset.contact_test]
+    field, title = _SMALLEST[it.preset.contact_test]
     smallest_mm2 = float(math.ceil(_MARGIN * largest_mm2))
     if smallest_mm2 > _MAX_SMALLEST_MM2:
         return Finding("false_contact", field, sentence, action="measure_noise")
     proposal = Proposal(
         field.partition(".")[0],
         {field: smallest_mm2},
-        f"Smallest contact {smallest_mm2:g} mm²",
+        f"{title} {smallest_mm2:g} mm²",
         f"The largest false contact has {largest_mm2:.0f} mm².",
         "The untouched membrane gives no contact. True contact below that area is dropped too.",
     )

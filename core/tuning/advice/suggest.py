@@ -97,7 +97,7 @@ def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
     if best is None:
         raise AdviceError(
             "alignment: a bias between the cameras can't be told from a gap here; set the mask to the colour of prints "
-            "that reflect infrared, or press an object firmly (10 cm² or more)"
+            "that reflect infrared, or press an object firmly (1,000 mm² or more)"
         )
     return propose_alignment(evidence, best)
 
@@ -257,7 +257,7 @@ def _suggest(section: str, evidence: Evidence, progress: Progress) -> Proposal:
     before = pipeline.process(evidence.frame).area_mm2
     pipeline.update(after_it)
     after = pipeline.process(evidence.frame).area_mm2
-    words = f"The patch of the present frame changes from {before / 100:.1f} to {after / 100:.1f} cm²."
+    words = f"The patch of the present frame changes from {before:,.0f} to {after:,.0f} mm²."
     return replace(proposal, expected=f"{proposal.expected} {words}")
 
 

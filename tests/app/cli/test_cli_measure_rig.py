@@ -49,7 +49,7 @@ def test_a_shipped_preset_is_measured_into_another_file(tactune, rig, tmp_path):
     out = tmp_path / "measured.json"
     finished = tactune("preset", "measure-rig", "--source", wall, "--out", out)
     assert finished.status == 0
-    assert "press an object firmly (10 cm2 or more)" in finished.out
+    assert "press an object firmly (1,000 mm2 or more)" in finished.out
     preset = load_preset(out)
     assert (preset.name, preset.noise.bias_from, preset.noise.frames) == ("measured", "unknown", 14)
 
