@@ -14,7 +14,7 @@ from PyQt6.QtGui import QUndoCommand, QUndoStack
 from ...core.errors import PresetError, TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord, now
-from ...core.preset.file import save_preset
+from ...core.preset.file import save_preset, with_notes_of_changes
 from ...core.rig.untouched import copy_untouched, save_untouched
 from ...core.sources.presets import load_preset, load_preset_and_note
 from ...core.tuning.advice.proposal import Proposal
@@ -208,6 +208,7 @@ class Document(QObject):
     def save(self, path: Path) -> None:
         """Write the preset to a file, which becomes the document's. Its untouched frame is written first."""
         lost = self._bring_untouched(path)
+        self._history.show(with_notes_of_changes(self.preset, self._baseline))
         save_preset(self.preset.model_copy(update={"modified": now()}), path)
         self._path = path
         self.undo_stack.setClean()

@@ -15,10 +15,13 @@ from typing import Any, Final
 from ..errors import PresetError
 from ..model.files import atomic_path, remove_leftovers
 from ..model.loading import MAX_JSON_BYTES, parse_json, read_file
-from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, parse_preset
+from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, now, parse_preset
 
 #: Fields that earlier versions wrote and this one does not know. A preset with one loads, and a note names it.
 GONE: Final = ("noise.slow_m",)
+#: Fields without a date of change in the notes, and how a note of a search begins.
+_UNDATED: Final = ("tool_version", "name", "notes", "created", "modified", "rig", "cameras")
+_SEARCHED: Final = "Trial "
 
 
 def shipped_presets() -> list[str]:
@@ -26,6 +29,26 @@ def shipped_presets() -> list[str]:
     folder = importlib.resources.files("tactune.presets")
     names = [file.name.removesuffix(".json") for file in folder.iterdir() if file.name.endswith(".json")]
     return sorted((name for name in names if not name.endswith(".schema")), key=lambda name: (name != "default", name))
+
+
+def with_notes_of_changes(preset: Preset, before: Preset) -> Preset:
+    """Return a preset whose notes date each section that differs from ``before``.
+
+    Notes that came with a shipped preset or from a search speak of the values then, so they go; a person's own stay.
+    """
+    changed = [
+        name for name in Preset.model_fields if name not in _UNDATED and getattr(preset, name) != getattr(before, name)
+    ]
+    if not changed:
+        return preset
+    shipped = [json.loads(preset_text(name)[0])["notes"] for name in shipped_presets()]
+    kept = [
+        part
+        for part in preset.notes.split("\n\n")
+        if part and part not in shipped and not part.startswith((_SEARCHED, *(f"{name}: 2" for name in changed)))
+    ]
+    dated = [f"{name}: {now():%Y-%m-%d}" for name in changed]
+    return preset.model_copy(update={"notes": "\n\n".join([*kept, *dated])[-10_000:]})
 
 
 def preset_text(path_or_name: Path | str) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 import pytest
 
 from tactune.app.document.document import Document
-from tactune.core.preset import Preset
+from tactune.core.preset import Preset, now
 from tactune.core.sources.presets import load_preset
 
 
@@ -73,3 +73,16 @@ def test_save_and_open_give_the_same_values_back(document, tmp_path):
     assert other.preset.mask.hue == (170, 10)
     assert other.preset.tolerance.t == 0.0123
     assert not other.dirty
+
+
+def test_notes_date_what_was_changed_and_those_that_hold_no_longer_go(tmp_path):
+    shipped = load_preset("simulator")
+    document = Document(shipped.with_value("notes", f"{shipped.notes}\n\nLamp at the left."))
+    document.edit("tolerance.t", 0.01)
+    document.save(tmp_path / "own.json")
+    today = f"{now():%Y-%m-%d}"
+    assert document.preset.notes == f"Lamp at the left.\n\ntolerance: {today}"
+    document.edit("mask.enabled", False)
+    document.edit("tolerance.t", 0.02)
+    document.save(tmp_path / "own.json")
+    assert load_preset(tmp_path / "own.json").notes == f"Lamp at the left.\n\nmask: {today}\n\ntolerance: {today}"
