@@ -13,6 +13,7 @@ from contextlib import suppress
 from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 from weakref import WeakValueDictionary
@@ -206,7 +207,9 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
         with path.open("rb") as file, np.load(file) as archive:
             facts = _FACTS.validate_json(archive["facts"].tobytes())
             for name in _IMAGES:
-                images[name] = np.cumsum(archive[name], axis=0, dtype=archive[name].dtype)
+                images[name] = archive[name]
+                for before, state in pairwise(images[name]):
+                    state += before  # in place: numpy's cumsum takes two seconds longer
         states = [CleanState(**{name: images[name][n] for name in _IMAGES}) for n in range(count)]
     except Exception:  # a damaged file may raise anything
         return None
