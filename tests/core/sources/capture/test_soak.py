@@ -1,4 +1,4 @@
-"""A soak test of one minute with `scripts/soak.py`; up to three minutes if the memory slope is uncertain.
+"""A soak test of one minute with `support/soak.py`; up to three minutes if the memory slope is uncertain.
 
 To check that memory grows by less than 1 MB per minute, run the script for 30 minutes.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[4] / "scripts" / "soak.py"
+SCRIPT = Path(__file__).parents[3] / "support" / "soak.py"
 
 
 @pytest.mark.long

@@ -5,7 +5,7 @@ two recordings the resident memory of the window and of the capture process is m
 it, without the first third of the run, where things warm up: its slope minus three standard errors must be below 1 MB
 per minute. At exit, no thread, process, file descriptor or shared-memory segment may remain. Example::
 
-    QT_QPA_PLATFORM=offscreen python scripts/soak.py --minutes 30
+    QT_QPA_PLATFORM=offscreen python tests/support/soak.py --minutes 30
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def open_things() -> dict[str, Counter[str]]:
         "all threads": Counter(name_of(task) for task in Path("/proc/self/task").iterdir()) - QT_POOL,
         "processes": Counter("process" for _ in children()),
         "descriptors": Counter(target(entry) for entry in Path("/proc/self/fd").iterdir()),
-        "shared memory": Counter(path.name for path in Path("/dev/shm").iterdir()),  # noqa: S108  # only listed
+        "shared memory": Counter(path.name for path in Path("/dev/shm").iterdir()),  # only listed
     }
 
 
