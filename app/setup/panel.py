@@ -132,7 +132,7 @@ class SetUpPanel(QWidget):
         super().__init__()
         self._context = context
         self._info: SourceInfo | None = None
-        self._running = False
+        self._running = self._waiting = False
         self._again: set[StepRow] = set()
         document = context.document
         bias = BiasStep(context)
@@ -177,6 +177,8 @@ class SetUpPanel(QWidget):
                 row.work.ended.connect(self._step_ended)
                 row.work.start.clicked.connect(self._show)
         context.worker.opened.connect(self._opened)
+        context.worker.openFailed.connect(lambda *_: self._go_on(False))
+        context.frameShown.connect(lambda: self._go_on(True))
         document.presetChanged.connect(lambda _: self._show())
         self._show()
 
@@ -195,7 +197,9 @@ class SetUpPanel(QWidget):
         self._advance()
 
     def stop(self) -> None:
-        self._running = False
+        if self._waiting:
+            self._context.worker.cancel_open()
+        self._running = self._waiting = False
         for row in self.rows:
             if row.work is not None:
                 row.work.stop()
@@ -228,7 +232,7 @@ class SetUpPanel(QWidget):
         if not self._running or row is None:
             self._running = False
         elif row.work is None:
-            self._running = False
+            self._waiting = True  # for the first frame
             self._context.sourceRequested.emit(_CAMERAS)
         else:
             row.work.begin()
@@ -243,6 +247,13 @@ class SetUpPanel(QWidget):
         if self._running:
             QTimer.singleShot(0, self._advance)
         self._show()
+
+    def _go_on(self, opened: bool) -> None:
+        """After the cameras were opened by this run: begin, or stop."""
+        if self._waiting:
+            self._waiting = False
+            self._running = self._running and opened
+            self._advance()
 
     def _skip(self) -> None:
         row = self._next()
@@ -277,6 +288,8 @@ class SetUpPanel(QWidget):
         self.headline.setText(self._headline(following))
 
     def _headline(self, following: StepRow | None) -> str:
+        if self._waiting:
+            return "Looking for cameras."
         preset = self._context.document.preset
         if following is None:
             done = "Save the preset; its untouched frame is a second file beside it."

@@ -86,11 +86,15 @@ class AlignmentStep(Gather):
 
 
 class _Look(NamedTuple):
-    """A frame, the medians of its tactile image tiles, metres, and whether something presses firmly."""
+    """A frame, the medians of its tactile image tiles, metres, and whether something presses firmly.
+
+    ``released`` is the opposite: the membrane is farther than in the untouched frame.
+    """
 
     frame: SensorFrame
     tiles_m: Float64Array
     pressed: bool
+    released: bool
 
 
 class BiasStep(Gather):
@@ -122,8 +126,8 @@ class BiasStep(Gather):
         assert self.info is not None
         assert self._free_m is not None
         tiles_m = tile_medians(frame.tactile_depth) * self.info.rig.tactile.depth_unit_m
-        pressed = tiles_m.shape == self._free_m.shape and bool(np.mean(self._free_m - tiles_m > _DENT_M) > _DENTED)
-        return _Look(frame, tiles_m, pressed)
+        nearer_m = self._free_m - tiles_m
+        return _Look(frame, tiles_m, *(bool(np.mean(sign * nearer_m > _DENT_M) > _DENTED) for sign in (1, -1)))
 
     def share(self, kept: Sequence[_Look]) -> float:
         return len(_held(kept)) / _HELD_FRAMES
@@ -137,8 +141,14 @@ class BiasStep(Gather):
         )
         pressed = tuple(look.frame for look in held or [look for look in kept if look.pressed])
         assert noise is not None
+        released = not pressed and any(look.released for look in kept)
 
         def measure(_: Progress) -> RigNoise:
+            if released:
+                raise CalibrationError(
+                    "the membrane is farther away than in the untouched frame, which was captured during a press; go "
+                    "to a frame where nothing touches it, and capture it again"
+                )
             found = with_bias(noise, pressed, info.rig, preset, untouched)
             if found.bias_from == "unknown":
                 raise CalibrationError("no firm press was seen; press an object of 1,000 mm² or more, and hold it")

@@ -1,9 +1,12 @@
 """The guided set-up by mouse: from an empty preset to the verdict, where it stops, and what a person may do there."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from PyQt6.QtTest import QTest
 
-from fakes import FakeCameras, FakeSource, tiny_rig
+from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from hands import LEFT, show_source
 from tactune.app.setup.panel import SetUpPanel
 from tactune.core.model.frames import Rig
@@ -48,6 +51,31 @@ def test_one_click_sets_up_the_simulated_rig(qtbot, set_up):
     assert 0.3 < verdict.error_mm < 3 and verdict.weakest in verdict.links
     window.document.undo_stack.undo()  # each step is one: the suggestions go
     assert not window.document.preset.mask.enabled and window.document.preset.noise is not None
+
+
+def test_without_a_source_it_looks_for_cameras_and_says_that_there_are_none(qtbot, set_up):
+    click(set_up.start)
+    qtbot.waitUntil(lambda: not set_up.running, timeout=60_000)
+    assert set_up.window_.messages.message("source") is not None
+    assert set_up.source.mark.text() == "○" and set_up.headline.text() == "Next: source."
+
+
+def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up):
+    window = set_up.window_
+
+    def pressed_at_first(index, rig):
+        frame = tiny_frame(index, rig)
+        return replace(frame, tactile_depth=(frame.tactile_depth - (120 if index < 8 else 0)).astype(np.uint16))
+
+    show_source(qtbot, window, FakeSource(16, make=pressed_at_first), 0)
+    set_up.untouched.work.wanted = 5
+    click(set_up.untouched.work.start)
+    qtbot.waitUntil(lambda: window.document.preset.untouched is not None and not set_up.untouched.work.busy)
+    camera = CameraNoise(white_m=1e-4, correlated_m=1e-3, length_px=3, changing_share=0.5, distance_m=0.3)
+    window.document.edit("noise", RigNoise(proximity=camera, tactile=camera, measured=now(), frames=60).model_dump())
+    click(set_up.bias.work.start)
+    qtbot.waitUntil(lambda: set_up.bias.mark.text() == "!", timeout=60_000)
+    assert "captured during a press" in set_up.bias.work.sentence.text()
 
 
 def failed(panel):
