@@ -151,7 +151,7 @@ class SetUpPanel(QWidget):
         self.noise = StepRow("Noise", "Everything at rest: 60 frames.", NoisePanel(context), _measured)
         self.alignment = StepRow(
             "Alignment",
-            "Points on the membrane's texture, found automatically.",
+            "Points found on the membrane's texture.",
             AlignmentStep(context),
             _aligned,
             two_cameras=True,
@@ -168,7 +168,7 @@ class SetUpPanel(QWidget):
         self.headline = NoteLabel(lines=4)
         save = text_button(actions["save"])
         top = hbox((self.start, 1), self.skip, margins=0)
-        vbox(top, self.headline, *self.rows, hbox(STRETCH, save, margins=0), STRETCH, within=self, margins=8, spacing=6)
+        vbox(top, self.headline, *self.rows, hbox(STRETCH, save, margins=0), STRETCH, within=self, margins=8, spacing=2)
         self.setAccessibleName("Set up")
         self.start.clicked.connect(self.toggle)
         self.skip.clicked.connect(self._skip)
