@@ -7,7 +7,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QDialogButtonBox
 
-from hands import LEFT
+from fakes import FakeSource
+from hands import LEFT, show_source
 from ros_maker import color, depth, make_recording
 from tactune.app.sources.folder_rig import FolderRigDialog
 from tactune.core.sources.ros.topics import load_topics, store_topics
@@ -47,8 +48,7 @@ def test_the_guess_is_opened_with_one_click_and_never_asked_again(window, qtbot,
     qtbot.waitUntil(lambda: opened(window, path))
     assert load_topics(path) == chosen
     assert window.result.frame.tactile_depth[0, 0] in (390, 391, 392)
-    window.open_source("sim:cup")
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == "sim:cup")
+    show_source(qtbot, window, FakeSource())
     window.open_source(str(path))
     qtbot.waitUntil(lambda: opened(window, path))
     assert window.topics.dialog is None

@@ -12,7 +12,7 @@ def test_a_recording_becomes_hdf5_and_its_calibration_urdf(tactune, recording, t
     assert done.status == 0 and "wrote 3 frames" in done.out
     with h5py.File(tmp_path / "a.h5") as file:
         assert len(file["sequence"]) == 3
-    assert tactune("convert", "sim:cup", tmp_path / "a.urdf").status == 0
+    assert tactune("convert", recording, tmp_path / "a.urdf").status == 0
     assert ElementTree.parse(tmp_path / "a.urdf").getroot().tag == "robot"
     assert tactune("convert", "simulator", tmp_path / "b.yaml", "--to", "kalibr").status == 0
     assert len(read_lenses(tmp_path / "b.yaml")) == 3

@@ -9,7 +9,6 @@ from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
 from tactune.core.preset.file import save_preset
-from tactune.core.preset.preset import json_schema
 from tactune.core.sources.presets import load_preset
 
 
@@ -113,7 +112,3 @@ def test_validate_names_fields_that_are_gone_in_files_and_recordings(tactune, re
     for path in (file, old):
         finished = tactune("preset", "validate", path)
         assert finished.status == 0 and "cameras.tactile_delay_s" in finished.out
-
-
-def test_schema_is_the_schema(tactune):
-    assert json.loads(tactune("preset", "schema").out) == json_schema()

@@ -75,13 +75,6 @@ def test_truth_is_compared_where_it_is_known(tactune, make_recording):
     assert len(unlabelled.err.splitlines()) == 1
 
 
-def test_the_summary_is_for_people(tactune, recording, tmp_path):
-    finished = tactune("run", "-s", recording, "-n", "9", "-o", tmp_path / "out", "--truth")
-    for words in ("4 frames", "contact in 3", "ms per frame", "iou", f"wrote {tmp_path / 'out'}"):
-        assert words in finished.out
-    assert finished.err == ""
-
-
 def test_a_depth_unit_that_cannot_be_is_told_once(tactune, recording):
     rig = json.loads((recording / "rig.json").read_text())
     rig["tactile"]["depth_unit_m"] *= 100

@@ -45,4 +45,4 @@ def test_a_section_without_evidence_is_refused_with_the_remedy(tactune, tmp_path
 def test_the_present_frame_can_be_chosen(tactune):
     named = ("preset", "suggest", "--source", "sim:cup", "--preset", "default", "--section", "mask")
     areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
-    assert float(areas[0].split()[0]) < float(areas[1].split()[0])
+    assert int(areas[0].split()[0].replace(",", "")) < int(areas[1].split()[0].replace(",", ""))

@@ -108,19 +108,6 @@ def test_the_check_for_drift_compares_the_membrane_with_the_untouched_frame(qtbo
     qtbot.waitUntil(lambda: "has no untouched frame" in check.sentence.text())
 
 
-def test_the_simulator_takes_its_object_away(qtbot, make_window):
-    window = make_window()
-    window.open_source("sim:cup?press=medium&sensor=datasheet")
-    qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
-    pressed = window.result.frame
-    opened = open_capture(qtbot, window)
-    QTest.mouseClick(opened.panel.start, LEFT)
-    qtbot.waitUntil(lambda: window.document.preset.untouched is not None, timeout=300_000)
-    kept = load_untouched(window.document.preset.untouched, window.document.untouched_home)
-    middle = (slice(200, 280), slice(280, 360))
-    assert np.median(kept.tactile_depth[middle]) > np.median(pressed.tactile_depth[middle]) + 100
-
-
 def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, monkeypatch):
     begun, go_on = Event(), Event()
 
