@@ -12,7 +12,7 @@ from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
 
 from ...core.calibration import CalibrationReport, read_points, write_points
-from ...core.calibration.recheck import compare_alignments, is_worse
+from ...core.calibration.check import compare_alignments, is_worse
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError, counted
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label

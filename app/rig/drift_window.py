@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QDialog, QWidget
 
-from ...core.calibration.recheck import Drift
+from ...core.calibration.check import Drift
 from ...core.errors import as_sentence
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset

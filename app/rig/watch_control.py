@@ -9,9 +9,9 @@ from functools import cache
 from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction
 
-from ...core.calibration.recheck import Drift
+from ...core.calibration.check import Drift
 from ...core.errors import as_sentence
-from ...core.rig.check import RigCheck, check_alignment
+from ...core.rig.check import RigCheck, drift_or_reason
 from ...core.rig.drift import LOOKS, Watch, WatchReport
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.messages import Offer, Severity
@@ -116,7 +116,7 @@ class WatchControl(QObject):
             report, membrane = watch().look(frame, time_s), watch().drift
             if not first or membrane is None:
                 return report, None
-            return report, RigCheck(check_alignment(preset, rig, frame), membrane)
+            return report, RigCheck(drift_or_reason(preset, rig, frame), membrane)
 
         self._job.start(look)
 

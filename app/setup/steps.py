@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ...core.calibration.recheck import is_worse
+from ...core.calibration.check import is_worse
 from ...core.calibration.report import CalibrationReport, grade
 from ...core.contact.checks import rig_in_use
 from ...core.errors import CalibrationError, TactuneError

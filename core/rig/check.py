@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..calibration.recheck import Drift, recheck
+from ..calibration.check import Drift, check_alignment
 from ..errors import TactuneError
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
@@ -56,10 +56,10 @@ class RigCheck:
         return f"drifted: {' '.join(bad)}" if bad else f"still good: {', '.join(good)}"
 
 
-def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift | str:
+def drift_or_reason(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift | str:
     """Return the drift of the alignment, or why it could not be checked."""
     try:
-        return recheck(preset, rig, frame)
+        return check_alignment(preset, rig, frame)
     except TactuneError as error:
         return str(error)
 
@@ -72,4 +72,4 @@ def check_rig(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorF
             membrane = compare_with_untouched(preset, rig, frame, load_untouched(preset.untouched, preset_path))
         except TactuneError as error:
             membrane = str(error)
-    return RigCheck(check_alignment(preset, rig, frame), membrane)
+    return RigCheck(drift_or_reason(preset, rig, frame), membrane)

@@ -1,4 +1,4 @@
-"""The calibration wizard and the re-check, opened from the main window."""
+"""The calibration wizard and the check for drift, opened from the main window."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Single pages and windows of the wizard: snapshots, helpers, check, re-check, saved state."""
+"""Single pages and windows of the wizard: snapshots, helpers, check, saved state."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Snapshots, texture matching and the re-check, on the simulator's frames."""
+"""Snapshots, texture matching and the check of an alignment, on the simulator's frames."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from simulated_clicks import judged_places, make_clicks
 from tactune.core.calibration import calibrate
-from tactune.core.calibration.recheck import recheck
+from tactune.core.calibration.check import check_alignment
 from tactune.core.calibration.snapshots import content_hash, depth_under, take_snapshot
 from tactune.core.calibration.texture import match_texture
 from tactune.core.errors import CalibrationError
@@ -71,16 +71,16 @@ def test_frames_without_texture_are_refused(frames, rig):
         with pytest.raises(CalibrationError, match=words):
             match_texture([dull], rig)
         with pytest.raises(CalibrationError):
-            recheck(Preset(), rig, dull)
+            check_alignment(Preset(), rig, dull)
 
 
-def test_a_recheck_tells_a_good_calibration_from_a_moved_camera(frames, rig, preset):
-    good = recheck(preset, rig, frames[1])
+def test_a_check_tells_a_good_calibration_from_a_moved_camera(frames, rig, preset):
+    good = check_alignment(preset, rig, frames[1])
     assert not good.recalibrate
     assert good.drift_px < 0.8
     pose = np.array(preset.alignment.rigid.T_proximity_tactile)
     pose[:3, :3] = Rotation.from_rotvec([0, np.radians(0.6), 0]).as_matrix() @ pose[:3, :3]
-    moved = recheck(preset.with_value("alignment.rigid.T_proximity_tactile", pose), rig, frames[1])
+    moved = check_alignment(preset.with_value("alignment.rigid.T_proximity_tactile", pose), rig, frames[1])
     assert moved.recalibrate
     assert moved.drift_px == pytest.approx(460 * np.radians(0.6), rel=0.3)
     assert "calibrate again" in moved.sentence

@@ -1,4 +1,4 @@
-"""Recheck of a calibration: on the texture of a current frame, or against the points of a new calibration."""
+"""Check of a calibration: on the texture of a current frame, or against the points of a new calibration."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Drift:
     offsets_px: Float64Array
 
 
-def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
+def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     """Compare a preset's alignment with a current frame, by matching places of the membrane in the colour images."""
     frame.check_against(rig)
     if not rig.has_proximity:
