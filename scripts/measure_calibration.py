@@ -1,6 +1,6 @@
 """Compare the calibration with theoretical bounds and with what it states itself, and print the numbers.
 
-    .venv/bin/python scripts/measure_calibration.py [bound] [wrong] [coverage] [patch]
+    .venv/bin/python scripts/measure_calibration.py [bound] [wrong] [coverage]
 
 Default: all of them. All random numbers are seeded.
 """
@@ -184,41 +184,10 @@ def measure_coverage():
             )
 
 
-def measure_patch():
-    """Contact patch with the rigid alignment at its supported t against the homography at t = 0.03.
-
-    Still presses: medium depth with weight 2, and deep ones to the left and right with weight 1 each.
-    """
-    from tactune.core.calibration.calibrate import calibrate
-    from tactune.core.contact.pipeline import ContactPipeline
-    from tactune.core.model.metrics import compare_with_truth
-    from tactune.core.sources.presets import load_preset
-    from tactune.core.sources.registry import open_source
-
-    base = load_preset("simulator").with_value("contact_test", "tolerance")
-    presses = {"press=medium": 2, "press=high&side=right": 1, "press=high&side=left": 1}
-    means = {"rigid": [], "homography": []}
-    for press, weight in presses.items():
-        for scene in ("cube", "cup", "octopus"):
-            for seed in range(5):
-                with open_source(f"sim:{scene}?{press}&sensor=datasheet&seed={seed}") as source:
-                    frame, rig = source.read(seed), source.rig
-                pairs = make_clicks(rig, 12, seed).pairs()
-                report = calibrate(pairs, rig, "rigid")
-                rigid = report.apply_to(base).with_value("tolerance.t", report.chosen.effect.supported_tolerance)
-                plane = calibrate(pairs, rig, "homography").apply_to(base).with_value("tolerance.t", 0.03)
-                for name, preset in (("rigid", rigid), ("homography", plane)):
-                    found = compare_with_truth(ContactPipeline(preset, rig).process(frame), frame.truth, rig)
-                    means[name] += [list(found.values())[-1]] * weight
-    rigid, plane = np.mean(means["rigid"]), np.mean(means["homography"])
-    print(f"patch, mean RMSE over objects and depths: rigid {rigid:.2f} mm, homography {plane:.2f} mm")
-
-
 MEASUREMENTS = {
     "bound": measure_bound,
     "wrong": measure_wrong,
     "coverage": measure_coverage,
-    "patch": measure_patch,
 }
 
 if __name__ == "__main__":

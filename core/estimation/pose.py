@@ -98,7 +98,7 @@ class PoseTracker:
 
     The patch is used, not all that the proximity camera sees through the membrane: in contact both cameras measure the
     same surface, so a bias between them is removed and their noise is averaged, and it holds for membranes that
-    scatter. ``scripts/measure_track.py`` compares. A tracker serves one thread at a time.
+    scatter. A tracker serves one thread at a time.
 
     Parameters
     ----------
