@@ -72,6 +72,7 @@ def opened(changes: dict[str, object] | None = None) -> Iterator[MainWindow]:
         window.resize(*SIZE)
         window.show()
         try:
+            window.actions_.tune.trigger()
             window.open_source("sim:cup")
             wait(lambda: window.result is not None, "frame")
             show_frame(window, PRESSED_FRAME)

@@ -156,11 +156,11 @@ class ExamplesWindow(QDialog):
         self.list.setAccessibleName("Examples")
         self.list.setToolTip("The examples; Delete removes the selected one")
         self.delete = push_button("De&lete", "Delete the selected example (Delete)", "Delete")
-        self.undo = push_button("Undo", "Undo the last mark or deletion (Ctrl+Z)", "Ctrl+Z")
-        self.redo = push_button("Redo", "Redo what was undone (Ctrl+Shift+Z)", "Ctrl+Shift+Z")
+        self.undo = push_button("&Undo", "Undo the last mark or deletion (Ctrl+Z)", "Ctrl+Z")
+        self.redo = push_button("&Redo", "Redo what was undone (Ctrl+Shift+Z)", "Ctrl+Shift+Z")
         self.image = ImagePane("Contact by hand")
         self.region = RegionItem(self.image)
-        self.leave = push_button("Close", "Close this window (Esc); the examples are kept")
+        self.leave = push_button("&Close", "Close this window (Esc); the examples are kept")
         intro = wrapped_label(
             "Examples tell suggestions what is contact: frames in which nothing touches the membrane, and frames in "
             "which a flat object touches it. Drag the rectangle onto the contact."

@@ -134,7 +134,7 @@ class SuggestWindow(QDialog):
         )
         self.apply.setDefault(True)
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
-        self.leave = push_button("Close", "Close this window; the preset stays as it is (Esc)")
+        self.leave = push_button("&Close", "Close this window; the preset stays as it is (Esc)")
         self._lay_out()
         self._connect(open_examples)
 

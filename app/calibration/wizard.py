@@ -91,19 +91,19 @@ class CalibrationWizard(QDialog):
             button.setMinimumWidth(124)
             self.steps.addButton(button, number)
             buttons.append(button)
-        self.over = push_button("Start over", "Clear the wizard; undo restores everything until it is closed")
-        self.undo = push_button("Undo", "Nothing to undo (Ctrl+Z)")
-        self.redo = push_button("Redo", "Nothing to redo (Ctrl+Shift+Z)")
+        self.over = push_button("Start o&ver", "Clear the wizard; undo restores everything until it is closed")
+        self.undo = push_button("&Undo", "Nothing to undo (Ctrl+Z)")
+        self.redo = push_button("&Redo", "Nothing to redo (Ctrl+Shift+Z)")
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
         self.verdict = wrapped_label()
-        self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
-        self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
+        self.back = push_button("&Back", "To the step before (Ctrl+Page Up)")
+        self.next = push_button("&Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(
             "Save preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
         )
-        self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
+        self.leave = push_button("&Close", "Close the wizard; everything is saved and restored next time")
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setMinimumWidth(120)
             push.setProperty("wide", True)  # a style sheet's width wins over the one above

@@ -41,7 +41,7 @@ class DriftWindow(QDialog):
         self.capture = push_button(
             "Capture &untouched frame…", "Average frames of the membrane while nothing touches it"
         )
-        leave = push_button("Close", "Close this window (Esc)")
+        leave = push_button("&Close", "Close this window (Esc)")
         row = hbox(STRETCH, self.again, self.calibrate, self.capture, leave)
         vbox(self.sentence, self.unchecked, (self.image, 1), row, within=self)
         self.resize(760, 720)

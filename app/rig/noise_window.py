@@ -36,7 +36,7 @@ class NoisePanel(Gather):
     wanted, min_frames = NOISE_FRAMES, MIN_FRAMES
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context, push_button("Measure", "Measure noise and bias into the preset (Ctrl+M)", "Ctrl+M"))
+        super().__init__(context, push_button("&Measure", "Measure noise and bias into the preset (Ctrl+M)", "Ctrl+M"))
         self.stored = wrapped_label(selectable=True)
         self.stored.setAccessibleName("Noise and bias in the preset")
         title = QLabel("In the preset")
@@ -80,7 +80,7 @@ class NoiseWindow(QDialog):
         super().__init__(context.window)
         self.setWindowTitle("Noise and bias – Tactune")
         self.panel = NoisePanel(context)
-        leave = push_button("Close", "Close this window (Esc)")
+        leave = push_button("&Close", "Close this window (Esc)")
         leave.clicked.connect(self.reject)
         self.finished.connect(lambda _: self.panel.close_down())
         vbox((self.panel, 1), hbox(STRETCH, leave), within=self)

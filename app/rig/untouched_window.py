@@ -90,7 +90,7 @@ class CaptureWindow(QDialog):
         self.untouched.view.setMinimumSize(220, 165)
         self.untouched.resized.connect(self._fit)
         self.leave = push_button(
-            "Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
+            "&Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
         )
         self.leave.clicked.connect(self.reject)
         row = hbox(STRETCH, self.leave)

@@ -34,7 +34,6 @@ class Timeline(QObject):
         self._context, self._strip = context, strip
         self.job = SeriesJob(self)
         self._info: SourceInfo | None = None
-        self._shown = True
         self._series: Series | None = None
         self._series_of = ""
         self._live: deque[tuple[float, FrameValues]] = deque()
@@ -47,7 +46,6 @@ class Timeline(QObject):
         self._scroll.timeout.connect(self._show_live)
         strip.choose_curve(context.settings.text("view/time_curve"))
         strip.curveChosen.connect(lambda key: context.settings.set("view/time_curve", key))
-        strip.hide()
         worker = context.worker
         strip.seekRequested.connect(worker.seek)
         strip.held.connect(worker.set_held)
@@ -61,15 +59,6 @@ class Timeline(QObject):
     def series(self) -> Series | None:
         """The series of the open recording with the present preset, as far as it is computed."""
         return self._series
-
-    def set_shown(self, shown: bool) -> None:
-        """Show the strip, or hide it and compute nothing."""
-        self._shown = shown
-        self._show_strip()
-        if shown:
-            self._preset_changed(self._context.document.preset)
-        else:
-            self.job.stop()
 
     def close(self) -> None:
         self.job.stop()
@@ -104,6 +93,8 @@ class Timeline(QObject):
 
     def _opened(self, info: SourceInfo) -> None:
         self._info = info
+        if info.length == 1:
+            self._strip.set_series(np.zeros(1), {}, np.zeros(1, np.bool_))
         self.job.stop()  # the file may have been replaced by another of the same name
         self._live.clear()
         self._series = None
@@ -116,8 +107,7 @@ class Timeline(QObject):
     def _show_strip(self) -> None:
         info = self._info
         live = info is not None and info.length is None
-        self._strip.setVisible(self._shown and info is not None and (live or self._several(info)))
-        if live and self._shown:
+        if live:
             self._strip.set_words("")
             self._show_live()
             self._scroll.start()
@@ -134,11 +124,11 @@ class Timeline(QObject):
             self._series, self._series_of = Series(info.length, info.frame_rate_hz), depends_on
             self.job.rest()
             self._show_series()
-        if self._shown and not self._series.complete:
+        if not self._series.complete:
             self._rest.start()
 
     def _compute(self) -> None:
-        if self._info is None or self._series is None or self._series.complete or not self._shown:
+        if self._info is None or self._series is None or self._series.complete:
             return
         if not opens_by_name(self._info.name):
             self._strip.set_words("This source cannot be opened a second time, so nothing is computed.")

@@ -72,6 +72,8 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("undo", "&Undo", "Ctrl+Z", icon="undo"),
         Row("redo", "&Redo", "Ctrl+Shift+Z, Ctrl+Y", icon="redo"),
         _LINE,
+        Row("search", "Searc&h", "Ctrl+Shift+P", "Find every action and parameter by name"),
+        _LINE,
         Row("suggest_all", "&Suggest all…", "Ctrl+J", "Propose values for all sections, each with its evidence"),
         Row("examples", "&Examples of contact…", "Ctrl+L", "Mark untouched frames and contact, for suggestions"),
         _LINE,
@@ -82,19 +84,22 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("wipe_right", "Wipe to the &right", "Alt+Right", "Show more of A"),
     ),
     "&View": (
+        Row("set_up", "&1 Set up", "Ctrl+1", "Cameras or recording, untouched frame, alignment, noise", checked=True),
+        Row("tune", "&2 Tune", "Ctrl+2", "Mask, contact test and limits", checked=False),
+        Row("run", "&3 Record and run", "Ctrl+3", "Record, mark, export, publish", checked=False),
+        _LINE,
         Row("reset_view", "&Reset views", "R", "Look obliquely, with membrane and patch in view"),
         Row("front_view", "&Front view", "V", "Look along the optical axis of the proximity camera"),
         Row("top_view", "T&op view", "T", "Look from above"),
         Row("side_view", "&Side view", "S", "Look from the side"),
         Row("zoom_to_patch", "&Zoom to patch", "Z", "Zoom in on the contact patch, keeping the direction"),
         _LINE,
-        Row("show_proximity", "&Proximity view", "Ctrl+1", checked=True),
-        Row("show_tactile", "&Tactile view", "Ctrl+2", checked=True),
-        Row("show_patch", "Contact patch &view", "Ctrl+3", checked=True),
+        Row("show_proximity", "&Proximity view", "Alt+1", checked=True),
+        Row("show_tactile", "&Tactile view", "Alt+2", checked=True),
+        Row("show_patch", "Contact patch &view", "Alt+3", checked=True),
         _LINE,
-        Row("show_time", "&Time strip", "Ctrl+Shift+T", "Show area, points, time or IoU over time", checked=True),
         Row("show_strip", "&Images", "Ctrl+I", "Show the images below the views", checked=True),
-        Row("show_panel", "Para&meters", "Ctrl+P", "Show the parameter panel", checked=True),
+        Row("show_panel", "Co&ntrols", "Ctrl+P", "Show the controls of the mode at the right", checked=True),
         _LINE,
         Submenu("themes", "T&heme"),
     ),
@@ -127,9 +132,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("capture_untouched", "Capture u&ntouched frame…", "Ctrl+Shift+R", "Capture the untouched membrane"),
         Row("findings", "&Findings…", "Ctrl+F", "List what is wrong with this frame or preset, and what mends it"),
     ),
-    "C&onnect": (
-        Row("publish", "&Publish…", "Ctrl+Shift+P", "Send patches live to Foxglove or ROS 2; off until you start it"),
-    ),
+    "C&onnect": (Row("publish", "&Publish", "F8", "Send patches live to Foxglove or ROS 2; off until you start it"),),
     "&Help": (
         Row("documentation", "&Documentation", "F1", "Open the guide in the browser", "help-circle-outline"),
         Row("shortcuts", "&Shortcuts", "Shift+F1", "All keys and mouse gestures", "keyboard-outline"),
@@ -171,6 +174,9 @@ class Actions:
 
     def all(self) -> list[QAction]:
         return list(self._actions.values())
+
+    def by_name(self) -> dict[str, QAction]:
+        return dict(self._actions)
 
 
 def _rows() -> list[Row]:

@@ -1,83 +1,87 @@
-"""The findings on the present frame: in the status bar, beside controls, in the empty patch view and in a list."""
+"""The findings on the present frame: in a rail of their own, at their fields, and in the empty patch view."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from PyQt6.QtCore import QObject, Qt, QTimer
-from PyQt6.QtGui import QAction, QPalette
-from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
 
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import NoteLabel, push_button
-from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
-from ...widgets.parameters.form import ShownFinding
+from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
 from ..worker.results import CloudName
 from .actions import Actions, plain_text
-from .status import FrameStatus
 from .view_area import ViewArea
 
 #: A finding that is gone stays on the screen for this long, milliseconds: it may come back with the next frame.
 LINGER_MS = 1000
 
+#: Height of the rail, pixels.
+RAIL_PX = 136
+
 _NOTHING = "Nothing is wrong with this frame."
 _NO_FRAME = "No frame was examined yet: open a source (Ctrl+O)."
 
 
-class FindingsWindow(QDialog):
-    """Lists the findings with their evidence; ``mend`` is called with the finding whose button was pressed."""
+@dataclass(frozen=True)
+class ShownFinding:
+    """A finding as it is shown: the sentence, and text and tooltip of its button; without a text there is none."""
 
-    def __init__(self, mend: Callable[[Finding], None], undo: QAction, parent: QWidget) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Findings – Tactune")
-        self._mend = mend
-        self.addAction(undo)
+    sentence: str
+    button: str = ""
+    tip: str = ""
+
+
+class FindingsRail(QWidget):
+    """Lists the findings in a place of fixed height; ``mend`` is called with the one whose button was pressed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mend: Callable[[Finding], None] = lambda finding: None
+        self.title = QLabel()
+        self.title.setFont(text_font("body", bold=True))
         self._cards = QVBoxLayout()
-        self._cards.setSpacing(8)
+        self._cards.setSpacing(4)
         content = QWidget()
-        vbox(self._cards, STRETCH, within=content, margins=4)
-        undo_button = QToolButton()
-        undo_button.setDefaultAction(undo)
-        undo_button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        leave = push_button("Close", "Close this list (Esc)")
-        leave.clicked.connect(self.reject)
-        vbox((scrolling(content), 1), hbox(undo_button, STRETCH, leave), within=self)
-        self.resize(480, 460)
+        vbox(self._cards, STRETCH, within=content, margins=0)
+        self._area = scrolling(content)
+        vbox(self.title, (self._area, 1), within=self, margins=(8, 4, 8, 4), spacing=4)
+        self.setFixedHeight(RAIL_PX)
+        self.setAccessibleName("Findings")
+        self.show_findings((), examined=False)
 
     def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
+        self.title.setText(f"Findings: {len(findings)}" if findings else "No findings")
         while (item := self._cards.takeAt(0)) is not None:
             widget = item.widget()
             if widget is not None:
                 widget.hide()
                 widget.deleteLater()
         cards: list[QWidget] = [self._card(finding, shown) for finding, shown in findings]
-        for card in cards or [QLabel(_NOTHING if examined else _NO_FRAME)]:
+        for card in cards or [NoteLabel(_NOTHING if examined else _NO_FRAME)]:
             self._cards.addWidget(card)
             card.show()  # at once, so that the list is never painted empty
 
+    def focus_first(self) -> None:
+        button = next(iter(self._area.findChildren(QPushButton)), None)
+        (button or self._area).setFocus(Qt.FocusReason.ShortcutFocusReason)
+
     def _card(self, finding: Finding, shown: ShownFinding) -> QWidget:
-        card = QFrame()
-        card.setFrameShape(QFrame.Shape.StyledPanel)
-        column = QVBoxLayout(card)
-        said = NoteLabel(finding.sentence)
-        font = said.font()
-        font.setBold(True)
-        said.setFont(font)
-        column.addWidget(said)
-        proposal = finding.proposal
-        if proposal is not None:
-            if proposal.evidence != finding.sentence:
-                column.addWidget(NoteLabel(proposal.evidence))
-            expected = NoteLabel(proposal.expected)
-            expected.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-            column.addWidget(expected)
+        card, said = QWidget(), NoteLabel(finding.sentence)
+        said.tint("warning")
+        column = vbox(said, within=card, margins=0, spacing=4)
+        if finding.proposal is not None:
+            said.setToolTip(f"{finding.proposal.evidence}\n{finding.proposal.expected}")
         if shown.button:
             button = push_button(shown.button, shown.tip)
-            button.clicked.connect(lambda: self._mend(finding))
+            button.clicked.connect(lambda: self.mend(finding))
             column.addLayout(hbox(button, STRETCH))
         return card
 
@@ -86,17 +90,17 @@ class FindingsControl(QObject):
     """Keeps the findings that are shown and applies their remedies; one that comes and goes stays."""
 
     def __init__(
-        self, context: Context, actions: Actions, *, panel: ParameterPanel, views: ViewArea, status: FrameStatus
+        self, context: Context, actions: Actions, *, panel: ParameterPanel, views: ViewArea, rail: FindingsRail
     ) -> None:
         super().__init__(context)
         self._context, self._actions = context, actions
-        self._panel, self._status = panel, status
+        self._panel, self._rail = panel, rail
         self._view = views.views[CloudName.PATCH]
         self._shown: dict[str, Finding] = {}
         self._present: dict[str, Finding] = {}
         self._preset: Preset | None = None
         self._offered: Finding | None = None
-        self._window: FindingsWindow | None = None
+        rail.mend = self.mend
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.setInterval(LINGER_MS)
@@ -104,15 +108,7 @@ class FindingsControl(QObject):
         context.worker.examined.connect(self._found)
         context.worker.opened.connect(lambda _: self._forget())
         context.frameShown.connect(self._explain_empty)
-        panel.remedyPressed.connect(self._mend_field)
         self._view.offerPressed.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
-        status.findings.clicked.connect(self.open)
-
-    def open(self) -> None:
-        if self._window is None:
-            self._window = FindingsWindow(self.mend, self._actions.undo, self._context.window)
-        self._show()
-        bring_up(self._window)
 
     def _in_words(self, finding: Finding) -> ShownFinding:
         """Return a finding with text and tooltip of the button that mends it."""
@@ -134,11 +130,6 @@ class FindingsControl(QObject):
             self._shown.pop(finding.name, None)  # the next examination shows whether it helped
             self._present.pop(finding.name, None)
             self._show()
-
-    def _mend_field(self, path: str) -> None:
-        finding = next((finding for finding in self._shown.values() if finding.field == path), None)
-        if finding is not None:
-            self.mend(finding)
 
     def _action(self, name: str) -> QAction | None:
         return getattr(self._actions, name) if name else None
@@ -165,13 +156,11 @@ class FindingsControl(QObject):
 
     def _show(self) -> None:
         findings = [(finding, self._in_words(finding)) for finding in self._shown.values()]
-        rows: dict[str, ShownFinding] = {}
+        rows: dict[str, str] = {}
         for finding, shown in findings:  # the first of a field: causes come before consequences
-            rows.setdefault(finding.field, shown)
+            rows.setdefault(finding.field, shown.sentence)
         self._panel.show_findings(rows)
-        self._status.show_findings(len(findings))
-        if self._window is not None:
-            self._window.show_findings(findings, examined=self._preset is not None)
+        self._rail.show_findings(findings, examined=self._preset is not None)
         self._explain_empty()
 
     def _explain_empty(self) -> None:

@@ -19,7 +19,7 @@ from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context
 from ..worker.results import CloudName, Result, SourceState
 from .pointing import hsv_words
-from .status import FrameStatus
+from .status import FrameStatus, patch_readings
 from .toolbar import Transport
 from .view_area import ViewArea
 
@@ -145,7 +145,8 @@ class FramePresenter(QObject):
             self._panel.show_masked_share(None if strip is None else strip.masked_share)
             self._show_readout()
         self._transport.show_state(result.playback)
-        self._status.show_result(result)
+        shown_fps = self._status.show_result(result)
+        self._views.views[CloudName.PATCH].set_readings(patch_readings(result, shown_fps) if compared is None else ())
         self._show_warnings(result)
 
     def set_wipe_share(self, share: float) -> None:

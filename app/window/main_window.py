@@ -8,7 +8,7 @@ from typing import cast
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QWidget
+from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
 from ...core.model.frames import Rig
 from ...core.preset import Preset
@@ -17,7 +17,7 @@ from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, local_files, room_on
-from ...widgets.basics.layouts import vbox
+from ...widgets.basics.layouts import hbox, scrolling, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
@@ -34,6 +34,7 @@ from ..rig.noise_window import NoiseControl
 from ..rig.untouched_window import UntouchedControls
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
+from ..setup.panel import SetUpPanel
 from ..sources.cameras_page import CAMERA_SCHEMES
 from ..sources.control import CameraControl
 from ..sources.opening import OpenControl
@@ -44,19 +45,21 @@ from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
-from .actions import THEMES, Actions, make_menus
+from .actions import THEMES, Actions, make_menus, plain_text
 from .comparison import ComparisonPanel
 from .export import Export
 from .files import FileFlows
-from .findings import FindingsControl
+from .findings import RAIL_PX, FindingsControl, FindingsRail
 from .frame_presenter import FramePresenter
 from .help import open_guide, show_about, show_shortcuts
+from .modes import COLUMN_PX, Mode, ModeColumn, RunPanel
 from .pointing import Eyedropper, Pointing
 from .publishing import PublishControl
 from .recording import RecordingBar
+from .search import Entry, Search, of_action
 from .status import FrameStatus
-from .toolbar import ToolBar, Transport, fill_on_opening
-from .view_area import ViewArea, ViewParts
+from .toolbar import ModeBar, Transport, fill_on_opening
+from .view_area import ViewArea
 
 #: Size of the first window, pixels, at least.
 DEFAULT_SIZE = QSize(1280, 800)
@@ -64,11 +67,9 @@ DEFAULT_SIZE = QSize(1280, 800)
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 #: The actions whose state is remembered between starts.
-_TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
+_TOGGLES = ("watch_drift", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 #: The actions whose keys work in the analysis window too.
 _SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop")
-#: Shares of the height of views and images at first.
-_ROWS = (65, 35)
 _COLLAPSED_AT_FIRST = "range,region"
 
 
@@ -85,10 +86,11 @@ class MainWindow(QMainWindow):
         self.actions_ = Actions(self, self.document.undo_stack)
         self.opening = ProgressCard("Progress of opening", "Cancel opening; the present source stays")
         self.export_bar = ProgressCard("Progress of the export", "Cancel the export")
-        self.views = ViewArea(self.actions_)
-        self.messages = Messages(self.views)
-        self.worker.opened.connect(self._forget_source)  # before the parts below speak of the new one
         self.strip = ImageStrip()
+        self.views = ViewArea(self.actions_, self.strip)
+        self.beside = QWidget()
+        self.messages = Messages(self.beside, room_px=RAIL_PX)
+        self.worker.opened.connect(self._forget_source)  # before the parts below speak of the new one
         self.time_strip = TimeStrip()
         self.panel = ParameterPanel(suggestible=SECTIONS)
         self.transport = Transport(self.actions_)
@@ -105,13 +107,11 @@ class MainWindow(QMainWindow):
             status=self.status,
         )
         self.comparison = ComparisonPanel(self.context, self.actions_, self.presenter)
-        self.findings = FindingsControl(
-            self.context, self.actions_, panel=self.panel, views=self.views, status=self.status
-        )
+        self.rail = FindingsRail()
+        self.findings = FindingsControl(self.context, self.actions_, panel=self.panel, views=self.views, rail=self.rail)
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
         self.recording = RecordingBar(self.context, self.actions_.record)
-        self.timeline = Timeline(self.context, self.time_strip)
-        self.export = Export(self.context, self.export_bar)
+        self.timeline, self.export = Timeline(self.context, self.time_strip), Export(self.context, self.export_bar)
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
@@ -150,31 +150,46 @@ class MainWindow(QMainWindow):
         bar = self.menuBar()
         assert bar is not None
         self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
-        self.toolbar = ToolBar(self.actions_, self.menus.preset, self.transport)
-        self.addToolBar(self.toolbar)
-        self.left = _splitter(Qt.Orientation.Vertical, self.views, self.strip)
         self.pointing = Pointing(self.context, self.views, self.strip)
-        self.parts = ViewParts(self.views, self.strip, self.actions_)
-        for row, share in enumerate(_ROWS):
-            self.left.setStretchFactor(row, share)
-        self.beside = _splitter(Qt.Orientation.Vertical, self.comparison, self.panel)
-        self.beside.setStretchFactor(1, 1)
-        self.across = _splitter(Qt.Orientation.Horizontal, self.left, self.beside)
-        self.across.setStretchFactor(0, 1)
-        self._splitters = {
-            "window/across": self.across,
-            "window/left": self.left,
-            "window/views": self.views.splitter,
-        }
+        self.publishing = PublishControl(self.context, self.status.publishing)
+        self.set_up = SetUpPanel(self.context, self.actions_.by_name())
+        run = RunPanel(self.actions_, self.recording, self.publishing.panel, self.status.details)
+        panels = {Mode.SET_UP: scrolling(self.set_up), Mode.TUNE: self.panel, Mode.RUN: scrolling(run)}
+        self.modes = ModeColumn(self.context, self.actions_, panels)
+        self._compared = scrolling(self.comparison)
+        self._compared.hide()
+        vbox((self._compared, 1), (self.modes, 1), self.rail, within=self.beside, margins=0, spacing=4)
+        self.beside.setFixedWidth(COLUMN_PX)
+        self.search = Search(self._found_by_name, self.views.setFocus)
+        self.mode_bar = ModeBar(self.actions_, self.menus.preset, self.search)
+        marks = (self.actions_.mark_in, self.actions_.mark_out, self.actions_.clear_marks)
+        self.time_strip.add_controls(self.transport, marks)
+        left = vbox((self.views, 1), self.time_strip, margins=0, spacing=4)
         centre = QWidget()
-        vbox(self.time_strip, (self.across, 1), within=centre, margins=(4, 4, 4, 0), spacing=4)
+        across = hbox((left, 1), self.beside, margins=(4, 0, 4, 0), spacing=8)
+        vbox(self.mode_bar, (across, 1), within=centre, margins=0, spacing=0)
         self.setCentralWidget(centre)
-        for part in (self.opening, self.recording, self.export_bar, self.status.details):
+        for part in (self.opening, self.export_bar):
             self.messages.pin(part)
         self.setStatusBar(self.status)
-        self.publishing = PublishControl(self.context, self.actions_.publish, self.status.publishing)
         self.setAcceptDrops(True)
-        self.setMinimumSize(900, 600)
+        self.setMinimumSize(960, 500)
+
+    def _found_by_name(self) -> list[Entry]:
+        """Return what the search finds: the actions of menus and analyses, and the parameters."""
+        actions = [*self.actions_.all(), *self.analysis.actions.values()]
+        chosen = [("Theme: ", self.menus.themes), ("Speed: ", self.menus.speeds)]
+        found = [of_action(plain_text(action), action) for action in actions]
+        found += [of_action(before + plain_text(entry), entry) for before, group in chosen for entry in group.actions()]
+        for path, row in self.panel.rows.items():
+            section = self.panel.sections[path.partition(".")[0]].title
+            found.append((f"{section}: {row.spec.title}", "parameter", partial(self._show_parameter, path)))
+        return found
+
+    def _show_parameter(self, path: str) -> None:
+        self.actions_.show_panel.setChecked(True)
+        self.actions_.tune.trigger()
+        self.panel.go_to(path)
 
     def _connect(self) -> None:
         self._connect_document()
@@ -214,7 +229,6 @@ class MainWindow(QMainWindow):
         worker.recordingEnded.connect(lambda _: self.status.show_recording(False))
         worker.stateChanged.connect(self.presenter.show_state)
         transport.seekRequested.connect(worker.seek)
-        transport.held.connect(worker.set_held)
         self.opening.cancel.clicked.connect(worker.cancel_open)
 
     def _connect_views(self) -> None:
@@ -241,7 +255,12 @@ class MainWindow(QMainWindow):
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.check_drift.triggered.connect(self.watch.open)
         actions.measure_noise.triggered.connect(self.noise.open)
-        actions.findings.triggered.connect(self.findings.open)
+        actions.findings.triggered.connect(self.rail.focus_first)
+        actions.publish.triggered.connect(self._show_publishing)
+        actions.search.triggered.connect(self.search.begin)
+        self.status.publishing.clicked.connect(self._show_publishing)
+        self.status.state.clicked.connect(actions.run.trigger)
+        self.modes.modeChanged.connect(self._send_wanted)
         actions.open_source.triggered.connect(self.sources.open)
         actions.cameras.triggered.connect(self.sources.open_cameras)
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
@@ -253,11 +272,7 @@ class MainWindow(QMainWindow):
         )
         self.context.sourceRequested.connect(self.open_source)
         actions.quit.triggered.connect(self.close)
-        actions.show_strip.toggled.connect(self.strip.setVisible)
-        actions.show_panel.toggled.connect(self.panel.setVisible)
         actions.show_panel.toggled.connect(self._show_beside)
-        for action in (actions.show_strip, actions.show_panel):
-            action.toggled.connect(self._send_wanted)
         actions.messages.triggered.connect(self.messages.focus_newest)
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
@@ -276,7 +291,6 @@ class MainWindow(QMainWindow):
 
     def _connect_timeline(self) -> None:
         actions, timeline = self.actions_, self.timeline
-        self.time_strip.add_buttons((actions.mark_in, actions.mark_out, actions.clear_marks))
         for action, act in (
             (actions.mark_in, timeline.mark_in),
             (actions.mark_out, timeline.mark_out),
@@ -285,7 +299,6 @@ class MainWindow(QMainWindow):
             action.triggered.connect(lambda _, act=act: act())
             timeline.availableChanged.connect(action.setEnabled)
             action.setEnabled(False)
-        actions.show_time.toggled.connect(timeline.set_shown)
 
     def open_source(self, name: str) -> None:
         """Open a source by its name, after its topics were asked for if it is a recording of another program."""
@@ -331,7 +344,7 @@ class MainWindow(QMainWindow):
         self._enable_measuring(True)
         self._leave_out_missing(info.rig)
         self.settings.add_recent(RECENT, info.name)
-        self.toolbar.show_source(info.name)
+        self.mode_bar.show_source(info.name)
         self.status.show_source(info)
         self.file_flows.offer_preset(info.preset)
 
@@ -361,7 +374,7 @@ class MainWindow(QMainWindow):
 
     def _send_wanted(self) -> None:
         """Tell the worker what is visible; nothing else is drawn."""
-        panel = not self.panel.isHidden()
+        panel = not self.panel.isHidden() and not self.beside.isHidden()
         self.worker.set_wanted(
             Wanted(
                 clouds=self.views.visible_clouds(),
@@ -375,13 +388,23 @@ class MainWindow(QMainWindow):
         )
 
     def _show_color_image(self) -> None:
-        if self.parts.shown is not self.strip.panes["color"]:
-            self.parts.back()
+        if self.views.enlarged is not self.strip.panes["color"]:
+            self.views.back()
         self.actions_.show_strip.setChecked(True)
+        self.strip.choose("color")
 
     def _show_beside(self) -> None:
-        """Give the views the whole width while nothing stands beside them."""
-        self.beside.setHidden(self.panel.isHidden() and self.comparison.isHidden())
+        """Give the views the whole width while controls are hidden; messages stand over them meanwhile."""
+        shown = self.actions_.show_panel.isChecked() or not self.comparison.isHidden()
+        self.beside.setVisible(shown)
+        self._compared.setVisible(not self.comparison.isHidden())
+        self.messages.move_over(self.beside if shown else self.views)
+        self._send_wanted()
+
+    def _show_publishing(self) -> None:
+        self.actions_.show_panel.setChecked(True)
+        self.actions_.run.trigger()
+        self.publishing.panel.foxglove.setFocus(Qt.FocusReason.ShortcutFocusReason)
 
     def _play_or_pause(self) -> None:
         (self.worker.pause if self.transport.state.playing else self.worker.play)()
@@ -391,7 +414,7 @@ class MainWindow(QMainWindow):
         self.strip.set_region(preset.region.rectangle if preset.region.enabled else None)
         self.setWindowTitle(f"{preset.name}[*] – Tactune")
         self.setWindowModified(self.document.dirty)
-        self.toolbar.show_preset(self.document.title, self.document.path)
+        self.mode_bar.show_preset(self.document.title, self.document.path)
 
     def _refused(self, path: str, sentence: str) -> None:
         if path in self.panel.rows:
@@ -424,10 +447,10 @@ class MainWindow(QMainWindow):
             room = room_on(screen).size() if screen is not None else QSize()
             size = (room * 5 / 6).expandedTo(DEFAULT_SIZE)
             self.resize(size if QApplication.platformName() == "offscreen" else size.boundedTo(room))
-        self.across.setSizes([self.width() - 380, 380])
-        self.left.setSizes([self.height() * share for share in _ROWS])
-        for name, splitter in self._splitters.items():
+        self.views.share_room()
+        for name, splitter in self.views.splitters.items():
             splitter.restoreState(settings.blob(name))
+        self.modes.choose(settings.text("window/mode"))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
         self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
         hidden = settings.text("window/hidden").split(",")
@@ -437,11 +460,12 @@ class MainWindow(QMainWindow):
         self.set_theme(cast(ThemeChoice, theme if theme in THEMES else "system"), remember=False)
 
     def remember_layout(self) -> None:
-        self.parts.back()
+        self.views.back()
         settings = self.settings
         settings.set("window/geometry", self.saveGeometry())
-        for name, splitter in self._splitters.items():
+        for name, splitter in self.views.splitters.items():
             settings.set(name, splitter.saveState())
+        settings.set("window/mode", self.modes.mode.value)
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
         settings.set("view/point_size", self.views.point_size.value())
         settings.set("view/color_by", self.views.chosen_colors().value)
@@ -451,7 +475,7 @@ class MainWindow(QMainWindow):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            undo = (self.messages.dismiss_newest, self.parts.back)
+            undo = (self.messages.dismiss_newest, self.views.back)
             if not any(step() for step in undo):
                 self.context.comparison.end()
             return
@@ -506,11 +530,3 @@ class MainWindow(QMainWindow):
     def close_without_asking(self) -> None:
         self._closing = True
         self.close()
-
-
-def _splitter(orientation: Qt.Orientation, *parts: QWidget) -> QSplitter:
-    splitter = QSplitter(orientation)
-    splitter.setChildrenCollapsible(False)
-    for part in parts:
-        splitter.addWidget(part)
-    return splitter

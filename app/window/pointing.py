@@ -122,8 +122,8 @@ def _tactile_pixel(result: Result, flat: int) -> int | None:
 
 _WORDS = {
     "off": "",
-    "set": "Click the membrane's prints in the colour image. Esc ends.",
-    "expand": "Click prints that the mask misses in the colour image. Esc ends.",
+    "set": "Click a print of the membrane. Esc ends.",
+    "expand": "Click a print that the mask misses. Esc ends.",
 }
 
 

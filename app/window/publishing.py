@@ -9,23 +9,12 @@ from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
 from PyQt6.QtCore import QObject, QTimer
-from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import (
-    QCheckBox,
-    QDialog,
-    QDialogButtonBox,
-    QGridLayout,
-    QLineEdit,
-    QPushButton,
-    QSpinBox,
-    QWidget,
-)
+from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLineEdit, QPushButton, QSpinBox, QWidget
 
 from ...core.errors import counted
 from ...core.output.connections import LOOPBACK, Connections
-from ...widgets.basics.controls import NoteLabel, caption, choice_button, dialog_buttons
-from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.layouts import STRETCH, vbox
+from ...widgets.basics.controls import NoteLabel, caption, choice_button
+from ...widgets.basics.layouts import vbox
 from ..context import Context
 from ..worker.jobs import Job
 
@@ -37,12 +26,11 @@ _INTERVAL_MS = 500
 _OFF = "Nothing is published. Tick Foxglove or ROS 2, then press Start publishing."
 
 
-class PublishWindow(QDialog):
+class PublishPanel(QWidget):
     """What is published where, the switch, and who listens."""
 
-    def __init__(self, parent: QWidget) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Publish")
+    def __init__(self) -> None:
+        super().__init__()
         self.foxglove, self.ros2 = QCheckBox("&Foxglove"), QCheckBox("&ROS 2")
         self.port, self.domain, self.namespace, self.host = QSpinBox(), QSpinBox(), QLineEdit(), QLineEdit(LOOPBACK)
         self.port.setRange(1, 65535)
@@ -64,16 +52,13 @@ class PublishWindow(QDialog):
             grid.addWidget(caption(title, editor), row, 1)
             grid.addWidget(editor, row, 2)
         grid.setColumnStretch(2, 1)
-        self.note = NoteLabel(lines=2)
+        self.note = NoteLabel()
         self.start = choice_button(
             "&Start publishing", "Let clients connect, or disconnect them all and stop listening"
         )
-        self.state = NoteLabel(_OFF, lines=4)
+        self.state = NoteLabel(_OFF, lines=2)
         self.state.setAccessibleName("Who listens")
-        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
-        buttons.rejected.connect(self.close)
-        vbox(grid, self.note, self.start, self.state, STRETCH, buttons, within=self)
-        self.resize(460, 340)
+        vbox(grid, self.note, self.start, self.state, within=self, margins=0)
         for box in (self.foxglove, self.ros2):
             box.toggled.connect(self._check)
         self.host.textChanged.connect(self._check)
@@ -114,37 +99,34 @@ class PublishWindow(QDialog):
 class PublishControl(QObject):
     """Switches publishing on and off. It is off at every start of the window, whatever it was before."""
 
-    def __init__(self, context: Context, action: QAction, indicator: QPushButton) -> None:
+    def __init__(self, context: Context, indicator: QPushButton) -> None:
         super().__init__(context)
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
         self._closed = Event()
-        self.window = PublishWindow(context.window)
-        self.window.show_connections(self._remembered())
+        self.panel = PublishPanel()
+        self.panel.show_connections(self._remembered())
         self._timer = QTimer(self)
         self._timer.setInterval(_INTERVAL_MS)
         self._timer.timeout.connect(self._show)
-        for opener in (action.triggered, indicator.clicked):
-            opener.connect(lambda: bring_up(self.window))
-        self.window.start.clicked.connect(self._switch)
+        self.panel.start.clicked.connect(self._switch)
         self._starting = Job(self)  # ROS 2 takes most of a second
         self._starting.done.connect(self._started)
-        self._starting.failed.connect(lambda sentence: self.window.show_state(False, sentence, error=True))
+        self._starting.failed.connect(lambda sentence: self.panel.show_state(False, sentence, error=True))
 
     def close(self) -> None:
         self._closed.set()
         self._starting.stop()
         self._stop()
-        self.window.close()
 
     def _switch(self, on: bool) -> None:
         if not on:
             self._stop()
             return
-        connections = self.window.connections
+        connections = self.panel.connections
         self._remember(connections)
-        self.window.show_state(True, "Starting…")
-        self.window.start.setEnabled(False)
+        self.panel.show_state(True, "Starting…")
+        self.panel.start.setEnabled(False)
 
         def start(_: object) -> Publisher:
             from ...core.output.publisher import Publisher
@@ -168,13 +150,13 @@ class PublishControl(QObject):
             self._publisher.close()
         self._publisher = None
         self._indicator.hide()
-        self.window.show_state(False)
+        self.panel.show_state(False)
 
     def _show(self) -> None:
         if self._publisher is None:
             return
         states = self._publisher.status()
-        self.window.show_state(True, "\n".join(map(_in_words, states)))
+        self.panel.show_state(True, "\n".join(map(_in_words, states)))
         clients = sum(state.sink.clients for state in states)
         self._indicator.setText(f"Publishing, {counted(clients, 'client')}")
         self._indicator.show()

@@ -14,12 +14,12 @@ from threading import Thread
 
 from PyQt6.QtCore import QLocale, QTimer, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
-from PyQt6.QtWidgets import QFrame, QPushButton
+from PyQt6.QtWidgets import QFrame
 
 from ...core.errors import counted
 from ...core.output.writer import RecordingStatus
 from ...widgets.basics.controls import ElidedLabel, TintedLabel, number_label
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
@@ -35,7 +35,7 @@ _FOLDER = "folder/recordings"
 
 
 class RecordingBar(QFrame):
-    """Starts and stops recordings with one action; shows the numbers of the one that runs, and is hidden otherwise."""
+    """Starts and stops recordings with one action; shows the numbers of the one that runs."""
 
     def __init__(self, context: Context, action: QAction) -> None:
         super().__init__()
@@ -53,16 +53,17 @@ class RecordingBar(QFrame):
             "0000 dropped", "Frames missing in the file: lost by the cameras, this computer or a slow disk"
         )
         self._room = number_label("000.0 GB free", "Free disk space")
-        self.stop_button = QPushButton("Stop")
-        self.stop_button.setToolTip("Finish the recording (F9)")
-        self.stop_button.clicked.connect(self.stop)
         vbox(
-            hbox(dot, (self._name, 1), self.stop_button),
-            hbox(self._written, self._dropped, self._room),
+            hbox(dot, (self._name, 1)),
+            self._written,
+            hbox(self._dropped, self._room, STRETCH),
             within=self,
-            margins=(8, 4, 4, 4),
+            margins=0,
             spacing=4,
         )
+        kept = self.sizePolicy()
+        kept.setRetainSizeWhenHidden(True)  # what stands below stays there
+        self.setSizePolicy(kept)
         self.hide()
         self._refresh = QTimer(self)
         self._refresh.setInterval(REFRESH_MS)
@@ -117,7 +118,6 @@ class RecordingBar(QFrame):
     def _started(self, path: Path) -> None:
         self._path, self._started_s, self._lost_before = path, time.monotonic(), self._lost
         self._name.setText(f"Recording {path.name}")
-        self.stop_button.setEnabled(True)
         for label in (self._written, self._dropped, self._room):
             label.setText("")
         self.show()
@@ -131,7 +131,7 @@ class RecordingBar(QFrame):
     def _show_finishing(self) -> None:
         if self._path is not None:
             self._name.setText(f"Finishing {self._path.name}…")
-            self.stop_button.setEnabled(False)
+            self._action.setEnabled(False)
 
     def _show_progress(self) -> None:
         status = self._worker.recorder.status()
@@ -154,6 +154,7 @@ class RecordingBar(QFrame):
     def _ended(self, end: RecordingEnd) -> None:
         self._path = None
         self._refresh.stop()
+        self._action.setEnabled(True)
         self.hide()
         self._show_action()
         self._tell(end)

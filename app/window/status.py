@@ -1,18 +1,17 @@
-"""The status bar: state, source, frame rate and patch area; a panel with the other numbers."""
+"""The status bar: state and source; the numbers on the patch, and the other numbers of a frame."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel, QPushButton, QStatusBar
 
 from ...core.errors import counted, minus
-from ...widgets.basics.controls import ElidedLabel, number_label
-from ...widgets.basics.icons import icon
-from ...widgets.basics.layouts import vbox
-from ...widgets.basics.messages import Card
+from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.overlays import Reading
 from ..worker.playback import PlaybackState
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 
@@ -20,21 +19,43 @@ from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 INTERVAL_S = 0.2
 #: Times below this are shown as 0: the stage is cached or was skipped.
 _MIN_SHOWN_MS = 0.05
+_UNKNOWN = "–"
 
 
-class FrameDetails(Card):
-    """The numbers of the newest frame that the status bar does not show: rates, losses, skew and times."""
+def patch_readings(result: Result, shown_fps: float) -> Sequence[Reading]:
+    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate."""
+    patch, doubt = result.patch, result.doubt
+    area = touches = edge = centroid = _UNKNOWN
+    if patch is not None:
+        area = f"{result.area_mm2:,.0f} mm²"
+        if patch.centroid_m is not None:
+            x, y, z = (1e3 * value for value in patch.centroid_m)
+            centroid = minus(f"{x:.0f}, {y:.0f}, {z:.0f} mm")
+    if doubt is not None and result.area_mm2 > 0:
+        touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
+        if math.isfinite(doubt.boundary_error_mm):
+            edge = f"±{doubt.boundary_error_mm:.1f} mm"
+    rate = f"{shown_fps:.0f} fps" if result.playback.playing else "paused"
+    return (
+        Reading(area, "area", "00,000 mm²"),
+        Reading(touches, "touches", "100 %"),
+        Reading(edge, "edge", "±00.0 mm"),
+        Reading(centroid, "centroid x, y, z", "−000, −000, 000 mm"),
+        Reading(rate, "frame rate", "paused"),
+    )
+
+
+class FrameDetails(QLabel):
+    """The numbers of the newest frame that do not stand on the patch: doubt, rates, losses, skew and times."""
 
     def __init__(self) -> None:
         super().__init__()
         self.setAccessibleName("Details of the frame")
         self.setToolTip("A stage that is cached or skipped is left out. Unmatched: images without a partner in time")
-        self.label = QLabel()
-        self.label.setWordWrap(True)
-        self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.label.setMinimumHeight(9 * self.label.fontMetrics().lineSpacing())  # so that nothing moves
-        vbox(self.label, within=self, margins=(8, 4, 8, 4))
-        self.hide()
+        self.setWordWrap(True)
+        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.setMinimumHeight(10 * self.fontMetrics().lineSpacing())  # so that nothing moves
+        self.setAlignment(Qt.AlignmentFlag.AlignTop)
 
     def show_result(self, result: Result, shown_fps: float) -> None:
         patch, runs = result.patch, result.playback.playing
@@ -44,7 +65,9 @@ class FrameDetails(Card):
         points = "none" if patch is None else counted(len(patch.points), "point")
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
+        doubt = result.doubt
         lines = (
+            f"Doubt: {', '.join(doubt.reasons) if doubt is not None and doubt.reasons else 'none known'}",
             f"Drawn: {shown_fps:.0f} frames/s" if runs else "Drawn: paused",
             f"Dropped: {result.dropped}",
             f"Unmatched: {result.unmatched}",
@@ -54,11 +77,11 @@ class FrameDetails(Card):
             f"Drawing: {result.render_ms:.1f} ms",
             f"Stages: {times}",
         )
-        self.label.setText("\n".join(lines))
+        self.setText("\n".join(lines))
 
 
 class FrameStatus(QStatusBar):
-    """What the source does, frame rate and patch area, a few times a second."""
+    """What the source does, its name and cameras, and whether patches are published."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,23 +90,15 @@ class FrameStatus(QStatusBar):
         self._shown_rate = RateMeter()
         self._last_s = 0.0
         self._playback, self._stale, self._recording = PlaybackState(), False, False
-        self.details = FrameDetails()  # the window puts it over the views
-        self.state = _flat_button("Rates, dropped frames, skew and times of the stages", "chevron-up")
+        self.details = FrameDetails()  # the window puts it among the controls of a mode
+        self.state = _flat_button("Rates, dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
         self.state.setText("No source")
-        self.state.setCheckable(True)
-        self.state.toggled.connect(self.details.setVisible)
-        self.details.closed.connect(lambda: self.state.setChecked(False))
         self.addWidget(self.state)
         self._source = ElidedLabel()
         self.addWidget(self._source, 1)
-        self.findings = _flat_button("What is wrong with this frame or preset, and what mends it (Ctrl+F)", "")
-        self.findings.setIcon(icon("alert-outline", "warning"))
-        self.publishing = _flat_button("Connections to Foxglove and ROS 2: state, or end them (Ctrl+Shift+P)", "")
-        for button in (self.findings, self.publishing):
-            button.hide()
-            self.addPermanentWidget(button)
-        self._rate = self._number("000 fps", "Frames per second drawn")
-        self._area = self._number("patch 000,000 mm², touches 100 %", "")
+        self.publishing = _flat_button("Connections to Foxglove and ROS 2: state, or end them (F8)")
+        self.publishing.hide()
+        self.addPermanentWidget(self.publishing)
 
     def show_source(self, info: SourceInfo) -> None:
         rig = info.rig
@@ -91,49 +106,27 @@ class FrameStatus(QStatusBar):
         length = "" if info.length is None else f", {counted(info.length, 'frame')}"
         self._source.setText(f"{info.name}{length}, {cameras}")
 
-    def show_findings(self, count: int) -> None:
-        self.findings.setText(counted(count, "finding"))
-        self.findings.setVisible(count > 0)
-
     def show_state(self, state: SourceState) -> None:
         self._stale = state.stale
         self._show_words()
 
     def show_playback(self, state: PlaybackState) -> None:
         self._playback = state
-        if not state.playing:
-            self._rate.setText("")
         self._show_words()
 
     def show_recording(self, running: bool) -> None:
         self._recording = running
         self._show_words()
 
-    def show_result(self, result: Result) -> None:
-        """Count a frame as shown. The area is that of the views; the other numbers wait for `INTERVAL_S`."""
+    def show_result(self, result: Result) -> float:
+        """Count a frame as shown, and return the frames shown per second; the details wait for `INTERVAL_S`."""
         self._shown_rate.tick()
-        self._show_patch(result)
-        now = time.perf_counter()
-        running = result.playback.playing
-        if running and now - self._last_s < INTERVAL_S:
-            return
-        self._last_s = now
         shown_fps = self._shown_rate.rate()
-        self._rate.setText(f"{shown_fps:.0f} fps" if running else "")
-        self.details.show_result(result, shown_fps)
-
-    def _show_patch(self, result: Result) -> None:
-        words = "" if result.patch is None else f"patch {result.area_mm2:,.0f} mm²"
-        tip = "Area of the patch, projected along the optical axis"
-        if (doubt := result.doubt) is not None and result.area_mm2 > 0:
-            words += f", touches {math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
-            tip += ", and the probability that the membrane touches there"
-            if math.isfinite(doubt.boundary_error_mm):
-                tip += f". Expected error of the boundary: {doubt.boundary_error_mm:.1f} mm"
-            if doubt.reasons:
-                tip += f". Doubt: {', '.join(doubt.reasons)}"
-        self._area.setText(words)
-        self._area.setToolTip(f"{tip}.")
+        now = time.perf_counter()
+        if not result.playback.playing or now - self._last_s >= INTERVAL_S:
+            self._last_s = now
+            self.details.show_result(result, shown_fps)
+        return shown_fps
 
     def _show_words(self) -> None:
         playback = self._playback
@@ -144,22 +137,11 @@ class FrameStatus(QStatusBar):
         else:
             words = "Live" if playback.length is None else "Playing"
         self.state.setText(f"Recording, {words.lower()}" if self._recording else words)
-        self.state.setAccessibleName(f"{self.state.text()}: details of the frame")
-
-    def _number(self, widest: str, tip: str) -> QLabel:
-        label = number_label(widest, tip)
-        # otherwise each number would lay out the whole window again
-        label.setFixedSize(label.minimumWidth(), label.fontMetrics().height())
-        label.setAutoFillBackground(True)  # nor paint what is behind it
-        self.addPermanentWidget(label)
-        return label
 
 
-def _flat_button(tip: str, icon_name: str) -> QPushButton:
+def _flat_button(tip: str) -> QPushButton:
     button = QPushButton()
     button.setFlat(True)
     button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
     button.setToolTip(tip)
-    if icon_name:
-        button.setIcon(icon(icon_name))
     return button

@@ -1,15 +1,15 @@
-"""The three linked 3D views with their row of choices above the strip of images; enlarging one."""
+"""The views: the patch large, both cameras and the images smaller beside it; enlarging one of them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
-from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QResizeEvent
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
+from PyQt6.QtWidgets import QSlider, QWidget
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.model.arrays import Float64Array
@@ -24,7 +24,7 @@ from ...widgets.basics.colormaps import (
     provenance_legend,
 )
 from ...widgets.basics.controls import ChoiceBox, caption
-from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
@@ -40,6 +40,8 @@ TITLES = {
     CloudName.PATCH: "Contact patch",
 }
 POINT_SIZES = (1, 8)
+#: Shares of the width: both cameras with the images below them, and the patch.
+_PATCH_SHARE = (0.45, 0.55)
 #: Share of a view that the patch takes after *Zoom to patch*.
 _PATCH_FILL = 0.6
 _NO_DEPTH = "This camera measured no depth in this frame"
@@ -51,14 +53,19 @@ _COLOR_TIPS = {
 
 
 class ViewArea(QWidget):
-    """Proximity, tactile and patch side by side; orbit one and all follow."""
+    """Both cameras and the images at the left, the patch at the right; orbit one cloud and all follow.
+
+    A double click enlarges a view or an image to the whole area, and another one brings the rest back; what is hidden
+    is not drawn.
+    """
 
     wantedChanged = pyqtSignal()  # the colours were changed, or a view was shown or hidden
     wipeDragged = pyqtSignal(float)  # to this share of the width, in one of the views
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: Actions, strip: ImageStrip) -> None:
         super().__init__()
         self.views = {name: CloudView(title, inspects=True) for name, title in TITLES.items()}
+        self.strip = strip
         self.toggles = {
             CloudName.PROXIMITY: actions.show_proximity,
             CloudName.TACTILE: actions.show_tactile,
@@ -68,15 +75,13 @@ class ViewArea(QWidget):
         self._result: Result | None = None
         self._framed: SourceInfo | None = None
         self._two_cameras = True
+        #: The enlarged view or image; None while all are shown.
+        self.enlarged: QWidget | None = None
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
-        self.splitter = QSplitter(Qt.Orientation.Horizontal)
-        self.splitter.setChildrenCollapsible(False)
         for view in self.views.values():
-            self.splitter.addWidget(view)
             view.wipeDragged.connect(self.wipeDragged)
             view.set_focus_finder(self._focus)
-        self.splitter.splitterMoved.connect(self._fit_legends)
         self.color_by = ChoiceBox()
         self.color_by.setAccessibleName("Colour by")
         self.color_by.setToolTip("What the colours of the points mean")
@@ -87,13 +92,17 @@ class ViewArea(QWidget):
         self.point_size = QSlider(Qt.Orientation.Horizontal)
         self.point_size.setRange(*POINT_SIZES)
         self.point_size.setValue(2)
-        self.point_size.setFixedWidth(90)
+        self.point_size.setFixedWidth(60)
         self.point_size.setAccessibleName("Point size")
         self.point_size.setToolTip("Point size in pixels")
         self.point_size.valueChanged.connect(self._resize_points)
-        vbox(self._choices(actions), (self.splitter, 1), within=self, margins=0, spacing=4)
-        for name, action in self.toggles.items():
-            action.toggled.connect(lambda _, name=name: self._show_view(name))
+        self._lay_out()
+        for action in (*self.toggles.values(), actions.show_strip):
+            action.toggled.connect(self._toggled)
+        for view in self.views.values():
+            view.enlargeRequested.connect(partial(self.enlarge, view))
+        for pane in strip.panes.values():
+            pane.doubleClicked.connect(partial(self.enlarge, pane))
         for action, viewpoint in (
             (actions.reset_view, "reset"),
             (actions.front_view, "front"),
@@ -105,6 +114,57 @@ class ViewArea(QWidget):
         actions.zoom_to_patch.setEnabled(False)
         self._resize_points(self.point_size.value())
 
+    def _lay_out(self) -> None:
+        self._choices = QWidget()
+        color_by, point_size = caption("&Colour", self.color_by), caption("Si&ze", self.point_size)
+        row = hbox(*(color_by, self.color_by, 8, point_size, self.point_size, STRETCH), margins=(4, 0, 4, 0), spacing=4)
+        vbox(row, within=self._choices, margins=0)
+        cameras = self.views[CloudName.PROXIMITY], self.views[CloudName.TACTILE]
+        self._cameras = splitter(Qt.Orientation.Horizontal, *((view, 1) for view in cameras))
+        self._side = QWidget()
+        self._rows = splitter(Qt.Orientation.Vertical, (self._cameras, 1), (self.strip, 1))
+        vbox(self._choices, (self._rows, 1), within=self._side, margins=0, spacing=4)
+        self._across = splitter(Qt.Orientation.Horizontal, (self._side, 1), (self.views[CloudName.PATCH], 1))
+        vbox(self._across, within=self, margins=0)
+        self.splitters = {"views/cameras": self._cameras, "views/rows": self._rows, "views/across": self._across}
+        for each in self.splitters.values():
+            each.splitterMoved.connect(self._fit_legends)
+
+    def share_room(self) -> None:
+        """Give each view its share of the room: the patch has more than twice the area of any other."""
+        self._across.setSizes([round(share * 10_000) for share in _PATCH_SHARE])
+        self._rows.setSizes([5_000, 5_000])
+        self._cameras.setSizes([5_000, 5_000])
+
+    def enlarge(self, part: QWidget) -> None:
+        """Let a view or an image take the whole area, or bring the rest back."""
+        self.enlarged = part if self.enlarged is None else None
+        self._arrange()
+
+    def back(self) -> bool:
+        """Show all views and images again; return whether one was enlarged."""
+        if self.enlarged is None:
+            return False
+        self.enlarge(self.enlarged)
+        return True
+
+    def _toggled(self) -> None:
+        self.enlarged = None
+        self._arrange()
+
+    def _arrange(self) -> None:
+        large = self.enlarged
+        for name, view in self.views.items():
+            view.setVisible(self.chosen(name) if large is None else view is large)
+        image = next((name for name, pane in self.strip.panes.items() if pane is large), "")
+        self.strip.enlarge(image)
+        self.strip.setVisible(self._actions.show_strip.isChecked() if large is None else bool(image))
+        of_cameras = any(not self.views[name].isHidden() for name in (CloudName.PROXIMITY, CloudName.TACTILE))
+        self._cameras.setVisible(of_cameras)
+        self._choices.setVisible(large is None)
+        self._side.setVisible(of_cameras or not self.strip.isHidden())
+        self.wantedChanged.emit()
+
     def chosen_colors(self) -> ColorBy:
         return ColorBy(self.color_by.currentData())
 
@@ -112,8 +172,6 @@ class ViewArea(QWidget):
         self.color_by.setCurrentIndex(self.color_by.findData(choice))
 
     def visible_clouds(self) -> frozenset[CloudName]:
-        if self.isHidden():
-            return frozenset()
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
 
     def show_result(self, result: Result, theme: ThemeName, wipe: Wipe | None = None) -> None:
@@ -179,26 +237,8 @@ class ViewArea(QWidget):
             view.set_legend(legend)
 
     def _fit_legends(self) -> None:
-        level([view.legend_line for view in self.views.values()])
-
-    def _choices(self, actions: Actions) -> QHBoxLayout:
-        buttons = []
-        for text, action in (
-            ("Reset", actions.reset_view),
-            ("Front", actions.front_view),
-            ("Top", actions.top_view),
-            ("Side", actions.side_view),
-            ("Patch", actions.zoom_to_patch),
-        ):
-            action.setIconText(text)
-            buttons.append(QToolButton())
-            buttons[-1].setDefaultAction(action)
-        color_by, point_size = caption("&Colour by", self.color_by), caption("Point si&ze", self.point_size)
-        return hbox(
-            *(color_by, self.color_by, 12, point_size, self.point_size, STRETCH, QLabel("View")),
-            *buttons,
-            margins=(4, 4, 4, 0),
-        )
+        level([self.views[name].legend_line for name in (CloudName.PROXIMITY, CloudName.TACTILE)])
+        level([self.views[CloudName.PATCH].legend_line])
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
@@ -208,15 +248,11 @@ class ViewArea(QWidget):
         """Leave out the view of a camera that the rig does not have."""
         if rig.has_proximity != self._two_cameras:
             self._two_cameras = rig.has_proximity
-            self._show_view(CloudName.PROXIMITY)
+            self._arrange()
 
     def chosen(self, name: CloudName) -> bool:
         """Return whether a view is wanted, and the rig has its camera."""
         return self.toggles[name].isChecked() and (self._two_cameras or name is not CloudName.PROXIMITY)
-
-    def _show_view(self, name: CloudName) -> None:
-        self.views[name].setVisible(self.chosen(name))
-        self.wantedChanged.emit()
 
     def _resize_points(self, size: int) -> None:
         for view in self.views.values():
@@ -283,45 +319,3 @@ def membrane_and_patch(result: Result) -> Float64Array:
 
 def patch_points(patch: ContactPatch | None) -> Float64Array:
     return np.empty((0, 3)) if patch is None else patch.points.astype(np.float64)
-
-
-class ViewParts(QObject):
-    """Enlarges the view or image that is double-clicked; the rest is hidden, and what is hidden is not drawn."""
-
-    def __init__(self, views: ViewArea, strip: ImageStrip, actions: Actions) -> None:
-        super().__init__(views)
-        self._views, self._strip, self._actions = views, strip, actions
-        self._parts: list[QWidget] = [*views.views.values(), *strip.panes.values()]
-        #: The enlarged view or image; None while all are shown.
-        self.shown: QWidget | None = None
-        for view in views.views.values():
-            view.enlargeRequested.connect(lambda view=view: self.toggle(view))
-        for pane in strip.panes.values():
-            pane.doubleClicked.connect(lambda pane=pane: self.toggle(pane))
-        for action in (*views.toggles.values(), actions.show_strip):
-            action.toggled.connect(self.back)
-
-    def toggle(self, widget: QWidget) -> None:
-        if self.shown is not None:
-            self.back()
-            return
-        self.shown = widget
-        of_views = widget in self._views.views.values()
-        self._views.setVisible(of_views)
-        self._strip.setVisible(not of_views)
-        for part in self._parts:
-            part.setVisible(part is widget)
-        self._views.wantedChanged.emit()
-
-    def back(self) -> bool:
-        """Show all views and images again; return whether one was enlarged."""
-        if self.shown is None:
-            return False
-        self.shown = None
-        for name, view in self._views.views.items():
-            view.setVisible(self._views.chosen(name))
-        self._strip.show_panes()
-        self._views.show()
-        self._strip.setVisible(self._actions.show_strip.isChecked())
-        self._views.wantedChanged.emit()
-        return True

@@ -55,6 +55,7 @@ def open_window(qtbot, folder, settings_file, start, size):
     settings = Settings(settings_file)
     if not settings.text("theme"):
         settings.set("theme", "light")
+        settings.set("window/mode", "tune")
     window = MainWindow(start, settings, folder / "unsaved", native_dialogs=False)
     window.settings.set("folder/preset", str(folder))
     window.settings.set("folder/export", str(folder))
@@ -129,7 +130,7 @@ class SharedWindow:
         """Bring a window back to how it opens: layout, messages, preset, playback."""
         window.context.comparison.end()
         window.eyedropper.use("off")
-        window.parts.back()
+        window.views.back()
         for key in list(window.messages.keys()):  # a method of Messages, no dict
             window.messages.clear(key)
         window.document.new(preset)

@@ -77,7 +77,7 @@ def test_drop_a_recording(window, qtbot, tmp_path):
     drop(window, tmp_path / "recording")
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.name.startswith("folder:"))
     assert window.result.source.length == 2
-    assert "recording" in window.toolbar.source.text()
+    assert "recording" in window.mode_bar.source.text()
 
 
 WRONG_FILES = [

@@ -1,17 +1,16 @@
-"""Findings in the window: beside the control, in the list and in the empty view; a click mends, Ctrl+Z undoes."""
+"""Findings in the window: in their rail, at the field and in the empty view; a click mends, Ctrl+Z undoes."""
 
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QPushButton, QToolButton
+from PyQt6.QtWidgets import QApplication, QPushButton
 
 from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, image_position, show_source, text_of
-from tactune.app.window.findings import FindingsWindow
 from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
 
@@ -36,7 +35,7 @@ def window(qtbot, window):
     """A window that stands still on cameras that disagree."""
     window.document.new(Preset(name="tiny", contact_test="tolerance").with_values({"tolerance.t": 0.02}))
     show_source(qtbot, window, FakeSource(rig=RIG, make=disagreeing_frame, name="disagreeing"), 3)
-    qtbot.waitUntil(window.status.findings.isVisible)
+    qtbot.waitUntil(lambda: found(window))
     return window
 
 
@@ -44,9 +43,12 @@ def offset_row(window):
     return window.panel.rows["alignment.depth_offset_m"]
 
 
-def findings_window():
-    [found] = [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, FindingsWindow)]
-    return found
+def found(window):
+    return window.rail.title.text() == "Findings: 1"
+
+
+def place(widget, window):
+    return widget.mapTo(window, QPoint(0, 0)), widget.size()
 
 
 def button(widget, text):
@@ -54,34 +56,24 @@ def button(widget, text):
     return found
 
 
-def test_the_finding_beside_its_control_is_mended_by_one_click(window, qtbot):
+def test_the_rail_mends_and_nothing_moves(window, qtbot):
     row = offset_row(window)
-    assert "+12.0 mm: the cameras disagree" in row.finding.sentence
-    window.panel.ensureWidgetVisible(row.finding.button)
-    QTest.mouseClick(row.finding.button, LEFT)
+    assert "+12.0 mm: the cameras disagree" in row.label.toolTip(), "the field is marked"
+    assert "+12.0 mm: the cameras disagree" in text_of(window.rail)
+    places = [place(widget, window) for widget in (window.panel, row.widget, window.rail)]
+    QTest.keyClick(window, Qt.Key.Key_F, CONTROL)
+    mend = button(window.rail, "Depth offset +12.0 mm")
+    assert mend.hasFocus() and "The proximity camera reads +12.0 mm" in mend.toolTip()
+    QTest.mouseClick(mend, LEFT)
     assert window.document.preset.alignment.depth_offset_m == pytest.approx(0.012, abs=0.0003)
     assert window.document.undo_stack.undoText() == "Depth offset +12.0 mm"
-    assert not row.finding.isVisible()
+    assert window.rail.title.text() == "No findings"
+    assert row.label.toolTip() == row.spec.tooltip
+    assert [place(widget, window) for widget in (window.panel, row.widget, window.rail)] == places
     qtbot.waitUntil(lambda: len(window.result.patch.points) > 10_000)
     QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
     assert window.document.preset.alignment.depth_offset_m == 0.0
-    qtbot.waitUntil(row.finding.isVisible)
-    qtbot.waitUntil(window.status.findings.isVisible)
-
-
-def test_the_list_says_evidence_and_mends(window, qtbot):
-    assert window.status.findings.text() == "1 finding"
-    QTest.keyClick(window, Qt.Key.Key_F, CONTROL)
-    shown = findings_window()
-    assert "The proximity camera reads +12.0 mm" in text_of(shown)
-    QTest.mouseClick(button(shown, "Depth offset +12.0 mm"), LEFT)
-    assert window.document.preset.alignment.depth_offset_m == pytest.approx(0.012, abs=0.0003)
-    assert "Nothing is wrong with this frame" in text_of(shown)
-    qtbot.waitUntil(lambda: not window.status.findings.isVisible())
-    [undo] = shown.findChildren(QToolButton)
-    QTest.mouseClick(undo, LEFT)
-    assert window.document.preset.alignment.depth_offset_m == 0.0
-    qtbot.waitUntil(lambda: "the cameras disagree" in text_of(shown))
+    qtbot.waitUntil(lambda: found(window))
 
 
 def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
@@ -110,6 +102,8 @@ def hovering_frame(index, rig):
 def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
     window = make_window(Preset(name="tiny").with_value("membrane.bias", False))
     show_source(qtbot, window, FakeSource(rig=RIG, make=hovering_frame, name="hovering"), 0)
+    window.strip.choose("difference")
+    QApplication.processEvents()
     pane = window.strip.panes["difference"]
     QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())
     qtbot.waitUntil(lambda: "outside the edge of contact" in window.strip.readout.text())
@@ -118,13 +112,11 @@ def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
 
 
 def test_a_finding_stays_until_it_has_been_gone_for_a_while(window, qtbot):
-    row = offset_row(window)
     window.worker.examined.emit((), window.document.preset)
-    assert row.finding.isVisible(), "it may be back in the next frame"
+    assert found(window), "it may be back in the next frame"
 
     def gone():
         window.worker.examined.emit((), window.document.preset)
-        return not row.finding.isVisible()
+        return window.rail.title.text() == "No findings"
 
     qtbot.waitUntil(gone)
-    assert not window.status.findings.isVisible()

@@ -64,7 +64,7 @@ def test_pausing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras,
     qtbot.waitUntil(lambda: cameras.release() or time.monotonic() > too_old_s)
     assert window.result.frame.sequence == 0
     assert set(badges(window).values()) == {""}
-    assert not window.transport.slider.isEnabled() and not window.actions_.next.isEnabled()
+    assert not window.transport.position.isEnabled() and not window.actions_.next.isEnabled()
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1 > 0)
 

@@ -66,20 +66,20 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
     actions, strip = window.actions_, window.strip
     show_source(qtbot, window, untouched_source, 3)
     assert not window.views.views[CloudName.PROXIMITY].isVisible()
-    assert [name for name, pane in strip.panes.items() if pane.isVisible()] == ["color", "tactile"]
+    assert [strip.tabs.tabText(tab) for tab in range(4) if strip.tabs.isTabVisible(tab)] == ["Colour", "Tactile"]
     assert not window.panel.sections["alignment"].isVisible()
     for action in (actions.calibrate, actions.show_proximity):
         assert not action.isEnabled()
         assert "tactile camera only" in action.toolTip()
 
-    window.parts.toggle(strip.panes["color"])  # an enlarged image and back
-    window.parts.back()
+    window.views.enlarge(strip.panes["color"])  # an enlarged image and back
+    window.views.back()
     assert not window.views.views[CloudName.PROXIMITY].isVisible()
     assert not strip.panes["difference"].isVisible()
 
     show_source(qtbot, window, FakeSource(), 3)
     assert window.views.views[CloudName.PROXIMITY].isVisible()
-    assert all(pane.isVisible() for pane in strip.panes.values())
+    assert all(strip.tabs.isTabVisible(tab) for tab in range(4))
     assert window.panel.sections["alignment"].isVisible()
     for action in (actions.calibrate, actions.show_proximity):
         assert action.isEnabled()

@@ -1,4 +1,4 @@
-"""*Connect > Publish* in the window, seen by a Foxglove client of another make."""
+"""Publishing in the mode *Record and run*, seen by a Foxglove client of another make."""
 
 import socket
 import time
@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QMenu
 
 from fakes import FakeSource
 from foxglove_client import FoxgloveClient
-from hands import CONTROL_SHIFT, LEFT, show_source, type_into
+from hands import LEFT, show_source, type_into
 from sockets import listening
 from tactune.core.estimation.tilt import TiltEstimator
 
@@ -25,9 +25,9 @@ def port():
 
 @pytest.fixture
 def publishing(window, qtbot, port):
-    """The window of publishing, with a free port; nothing is published yet."""
-    QTest.keyClick(window, Qt.Key.Key_P, CONTROL_SHIFT)
-    dialog = window.publishing.window
+    """The controls of publishing, with a free port; nothing is published yet."""
+    QTest.keyClick(window, Qt.Key.Key_F8)
+    dialog = window.publishing.panel
     qtbot.waitUntil(dialog.isVisible)
     type_into(dialog.port, str(port), Qt.Key.Key_Tab)
     return dialog
@@ -85,9 +85,9 @@ def test_a_new_window_remembers_the_settings_but_is_off(publishing, window, make
     again = make_window()
     show_source(qtbot, again, FakeSource(), 3)
     assert not listening()
-    assert not again.publishing.window.start.isChecked()
-    assert again.publishing.window.port.value() == port
-    assert again.publishing.window.host.text() == "127.0.0.1"
+    assert not again.publishing.panel.start.isChecked()
+    assert again.publishing.panel.port.value() == port
+    assert again.publishing.panel.host.text() == "127.0.0.1"
 
 
 def test_a_window_that_closes_while_publishing_starts_stops_listening(publishing, window, qtbot):

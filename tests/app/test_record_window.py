@@ -61,6 +61,7 @@ def assert_same(read, given):
 
 
 def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qtbot, folder):
+    window.actions_.run.trigger()
     begin(window, qtbot)
     assert window.actions_.record.isChecked()
     assert window.recording.isVisible()

@@ -105,7 +105,6 @@ def test_a_click_and_a_drag_seek(window, qtbot):
 
 
 def test_an_export_has_exactly_the_marked_frames(window, qtbot, tmp_path, scene):
-    window.actions_.show_time.trigger()  # with the strip hidden no process computes the curve
     show_scene(qtbot, window, scene, 3)
     mark(qtbot, window, 6, 10)
     assert window.context.trim == (6, 11)
@@ -122,13 +121,11 @@ def test_an_export_has_exactly_the_marked_frames(window, qtbot, tmp_path, scene)
     assert window.context.trim is None
 
 
-def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(window, qtbot):
+def test_a_single_frame_has_nothing_to_mark_and_a_live_source_scrolls(window, qtbot):
     show_source(qtbot, window, FakeSource(1))
-    assert window.time_strip.isHidden()
     assert not window.actions_.mark_in.isEnabled()
     live = FakeCameras()
     show_live(qtbot, window, live)
-    assert window.time_strip.isVisible()
     assert not window.actions_.mark_in.isEnabled()
 
 

@@ -22,7 +22,6 @@ from tactune.core.preset import (
     RigidAlignment,
     ToleranceSection,
 )
-from tactune.widgets.parameters.form import ShownFinding
 from tactune.widgets.parameters.parameter_panel import SECTIONS, fields_of
 
 hues = st.tuples(st.integers(0, 179), st.integers(0, 179))
@@ -246,12 +245,15 @@ def test_advanced_fields_are_folded_until_they_matter(panel):
     QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     panel.set_preset(Preset(name="next", membrane=MembraneSection(trust_m=0.02)))
     assert not trust.widget.isVisible(), "who closes it again is not disturbed"
-    finding = {"alignment.depth_scale": ShownFinding("The scale is wrong.")}
-    panel.show_findings(finding)
-    assert panel.rows["alignment.depth_scale"].finding.isVisible()
-    QTest.mouseClick(panel.forms["alignment"].more, LEFT)
-    panel.show_findings(finding)
-    assert not panel.forms["alignment"].is_open, "the same finding again"
+
+
+def test_a_finding_marks_its_field_and_moves_nothing(panel):
+    row, height = panel.rows["alignment.depth_offset_m"], panel.widget().height()
+    panel.show_findings({row.spec.path: "The offset is wrong."})
+    assert row.label.toolTip() == "The offset is wrong."
+    assert panel.widget().height() == height
+    panel.show_findings({})
+    assert row.label.toolTip() == row.spec.tooltip
 
 
 def test_the_contact_test_decides_which_sections_are_shown(panel, seen):

@@ -245,11 +245,12 @@ class ProgressBar(QProgressBar):
         self.update()
 
     def text(self) -> str:
-        words = self._words or f"{self.value()} %"
+        done = f"{self.value()} %" if self.maximum() else ""  # a bar without an end says only the step
+        words = ", ".join(filter(None, (self._words, done)))
         return self.fontMetrics().elidedText(words, Qt.TextElideMode.ElideRight, self.width() - 8)
 
     def sizeHint(self) -> QSize:
-        return QSize(self.fontMetrics().horizontalAdvance(self._words) + 24, super().sizeHint().height())
+        return QSize(self.fontMetrics().horizontalAdvance(f"{self._words}, 100 %") + 24, super().sizeHint().height())
 
     def minimumSizeHint(self) -> QSize:
         return QSize(100, super().minimumSizeHint().height())
@@ -290,8 +291,6 @@ class CollapsibleSection(QFrame):
         self.button.show_folded(False)
         self.button.setFont(text_font("body", bold=True))
         header = QFrame()
-        header.setAutoFillBackground(True)
-        header.setBackgroundRole(QPalette.ColorRole.AlternateBase)
         self._header_layout = hbox((self.button, 1), within=header, margins=(4, 0, 4, 0), spacing=4)
         self.body = QWidget()
         vbox(header, self.body, within=self, margins=0, spacing=0)

@@ -152,11 +152,12 @@ class Messages(QWidget):
 
     At most `LIMIT` are shown, fewer if the widget is low; errors come first, notes that go by themselves last. The
     others wait. ``free`` returns how many pixels stay free at the widget's lower edge; call `arrange` when it changes.
+    With ``room_px`` all but a single large message keep to that height at the lower edge.
     """
 
-    def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0) -> None:
+    def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0, room_px: int = 0) -> None:
         super().__init__(over)
-        self._over, self._free = over, free
+        self._over, self._free, self._room_px = over, free, room_px
         self._messages: dict[str, Message] = {}
         self._pinned: list[QFrame] = []
         over.installEventFilter(self)
@@ -224,6 +225,14 @@ class Messages(QWidget):
         frame.setHidden(hidden)
         frame.installEventFilter(self)
 
+    def move_over(self, over: QWidget) -> None:
+        """Show the messages over another widget of the window from now on."""
+        self._over.removeEventFilter(self)
+        self._over = over
+        self.setParent(over)
+        over.installEventFilter(self)
+        self.arrange()
+
     def sentences(self) -> list[str]:
         return [message.sentence for message in self._messages.values()]
 
@@ -267,7 +276,9 @@ class Messages(QWidget):
         newest = list(reversed(self._messages.values()))
         pinned = [frame for frame in self._pinned if not frame.isHidden()]
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
-        room = self._over.height() - self._free() - 2 * _MARGIN_PX - _LINE_PX
+        line = 0 if self._room_px else _LINE_PX
+        bottom = self._over.height() - self._free() - 2 * _MARGIN_PX - line
+        room = self._room_px or bottom
         shown = sorted(newest, key=lambda message: message.rank)[:LIMIT]  # stable: the newest first of each rank
         heights = {frame: _height(frame, width) + _GAP_PX for frame in (*shown, *pinned)}
         while len(shown) > 1 and sum(heights[frame] for frame in (*shown, *pinned)) > room:
@@ -278,7 +289,7 @@ class Messages(QWidget):
             if not frame.isHidden():
                 frame.setGeometry(0, y, width, heights[frame] - _GAP_PX)
                 y += heights[frame]
-        self.setGeometry(_MARGIN_PX, room + _MARGIN_PX - y, width, y)
+        self.setGeometry(_MARGIN_PX, bottom + _MARGIN_PX - y, width, y)
         self.setMask(self.childrenRegion())  # beside a narrow frame the mouse reaches what is below
         self.setVisible(y > 0)
         self.raise_()

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
-from PyQt6.QtCore import QEvent, QObject, QPointF, QRect, QRectF, QSize, Qt
-from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen
-from PyQt6.QtWidgets import QLabel, QPushButton, QWidget
+from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, Qt
+from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPalette, QPen
+from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QWidget
 
 from .layouts import STRETCH, vbox
 from .theme import CASING, text_font
 
-_VEIL_ALPHA = 150
+_VEIL_ALPHA, _PLATE_ALPHA = 150, 200
 
 
 class Notice(QWidget):
@@ -123,3 +124,36 @@ def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe) -> None:
         painter.drawRoundedRect(words.adjusted(-5, -1, 5, 1), 3.0, 3.0)
         painter.setPen(_LINE)
         painter.drawText(words, 0, text)
+
+
+class Reading(NamedTuple):
+    """A number that stands on a view, what it is, and its widest text: so its neighbours keep their place."""
+
+    value: str
+    caption: str
+    widest: str
+
+
+def paint_readings(painter: QPainter, room: QRect, readings: Sequence[Reading]) -> None:
+    """Paint numbers in large type, with their captions, into a band at the top with as many rows as they need."""
+    large, small = text_font("title", bold=True), text_font("caption")
+    numbers, captions = QFontMetrics(large), QFontMetrics(small)
+    left, gap, height = room.left() + 8, 16, numbers.height() + captions.height() + 4
+    places: list[QRect] = []
+    x, y = left, room.top() + 4
+    for _, words, widest in readings:
+        width = max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words))
+        if x + width > room.right() and x > left:
+            x, y = left, y + height
+        places.append(QRect(x, y, width, numbers.height()))
+        x += width + gap
+    palette = QApplication.palette()
+    plate = palette.color(QPalette.ColorRole.Base)
+    plate.setAlpha(_PLATE_ALPHA)
+    painter.fillRect(QRect(room.left(), room.top(), room.width(), y + height), plate)
+    for font, role, line in ((large, QPalette.ColorRole.Text, 0), (small, QPalette.ColorRole.PlaceholderText, 1)):
+        painter.setFont(font)
+        painter.setPen(palette.color(role))
+        for place, reading in zip(places, readings, strict=True):
+            at = QPoint(place.left(), place.bottom() + captions.ascent() if line else place.top() + numbers.ascent())
+            painter.drawText(at, reading[line])

@@ -45,12 +45,14 @@ QPushButton, QToolButton[autoRaise="false"] {
 QToolButton[autoRaise="false"] { padding: 1px 2px; }
 .QPushButton { min-width: 62px; }
 .QPushButton[wide="true"] { min-width: 102px; }
-QPushButton:focus, QToolButton[autoRaise="false"]:focus { border-color: $focus; }
 QPushButton[flat="true"] { background: transparent; border: none; }
 QPushButton:hover, QToolButton[autoRaise="false"]:hover, QToolButton[autoRaise="true"]:hover { background: $alternate; }
 QPushButton:pressed, QToolButton:pressed { background: $border; }
 QPushButton:default, QPushButton:checked, QToolButton[autoRaise="false"]:checked {
     background: $accent; border-color: $accent; color: $on_accent; }
+QToolButton[primary="true"] { background: $accent; border-color: $accent; color: $on_accent; padding: 3px 8px; }
+QToolButton[mode="true"] { background: transparent; border-color: transparent; padding: 3px 10px; }
+QToolButton[mode="true"]:checked { background: $accent; color: $on_accent; }
 QPushButton:disabled, QToolButton[autoRaise="false"]:disabled {
     background: $button; border-color: $border; color: $disabled; }
 QPushButton::menu-indicator { image: url($icons/arrow-down.svg); subcontrol-position: right center; width: 12px; }
@@ -80,7 +82,7 @@ QSlider::groove:horizontal { background: $outline; height: 4px; border-radius: 2
 QSlider::sub-page:horizontal { background: $accent; border-radius: 2px; margin: 0 6px; }
 QSlider::handle:horizontal {
     background: $knob; border: 2px solid $accent; border-radius: 7px; width: 10px; margin: -5px -6px; }
-QSlider::handle:horizontal:hover, QSlider::handle:horizontal:focus { background: $accent; }
+QSlider::handle:horizontal:hover { background: $accent; }
 QSlider::groove:disabled, QSlider::sub-page:disabled { background: $border; }
 QSlider::handle:disabled { background: $button; border-color: $border; }
 QScrollBar { background: transparent; border: none; }
@@ -90,10 +92,10 @@ QScrollBar::handle { background: $outline; border-radius: 3px; margin: 3px; min-
 QScrollBar::handle:hover { background: $muted; }
 QScrollBar::add-line, QScrollBar::sub-line { width: 0; height: 0; }
 QScrollBar::add-page, QScrollBar::sub-page { background: none; }
-QTabBar::tab { padding: 4px 12px; border: none; border-bottom: 3px solid transparent; }
+QTabBar::tab { padding: 4px 8px; border: none; border-bottom: 3px solid transparent; }
 QTabBar::tab:hover { border-bottom-color: $border; }
 QTabBar::tab:selected { border-bottom-color: $accent; }
-QTabWidget::pane, QGroupBox { border: 1px solid $border; border-radius: 4px; }
+QTabWidget::pane, QGroupBox { border: none; border-top: 1px solid $border; }
 QHeaderView::section {
     background: $alternate; border: none; border-right: 1px solid $border; border-bottom: 1px solid $border;
     padding: 2px 4px; }

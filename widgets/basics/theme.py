@@ -21,7 +21,7 @@ CASING: Final = QColor(0, 0, 0, 170)
 GRID: Final = 4
 
 #: The three sizes of text, as shares of the desktop's.
-_TEXT_SIZES: Final[dict[TextSize, float]] = {"caption": 0.9, "body": 1.0, "title": 1.2}
+_TEXT_SIZES: Final[dict[TextSize, float]] = {"caption": 0.9, "body": 1.0, "title": 1.5}
 
 
 @dataclass(frozen=True)

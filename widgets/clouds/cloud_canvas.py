@@ -11,6 +11,7 @@ less than 65,000 times the nearest, and still tell a millionth of a distance apa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float32Array, Uint8Array
 from ..basics.colormaps import over_background
-from ..basics.overlays import Wipe, paint_wipe
+from ..basics.overlays import Reading, Wipe, paint_readings, paint_wipe
 from ..basics.theme import CASING, ThemeName, text_font, theme_name
 from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .view_camera import FAR, NEAR, ViewCamera
@@ -286,6 +287,7 @@ class CloudCanvas(QWidget):
         self.point_size = 2.0  # device-independent pixels
         self.running = False  # frames follow each other
         self.mark: Place | None = None
+        self.readings: Sequence[Reading] = ()
         self._renderers = SoftwareRenderer(), SoftwareRenderer()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
 
@@ -317,6 +319,8 @@ class CloudCanvas(QWidget):
             self._paint_mark(painter, self.mark)
         if self.wipe is not None:
             paint_wipe(painter, QRectF(self.rect()), self.wipe)
+        elif self.readings:
+            paint_readings(painter, self.rect(), self.readings)
         painter.end()
 
     def _paint_mark(self, painter: QPainter, mark: Place) -> None:

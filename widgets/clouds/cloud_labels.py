@@ -13,7 +13,7 @@ from ..basics.theme import text_font
 
 #: Pixels between title and number.
 _GAP = 8
-_MAX_LINES = 4
+_MAX_LINES = 2
 
 
 class CloudHeader(QWidget):
@@ -39,7 +39,7 @@ class CloudHeader(QWidget):
         room = self.rect().adjusted(4, 2, -4, 0)
         count = f"{self._count:,} point{'' if self._count == 1 else 's'}"
         if bold.horizontalAdvance(self._title) + _GAP + plain.horizontalAdvance(count) > room.width():
-            count = f"{self._count:,}"
+            count = ""
         painter.setPen(self.palette().windowText().color())
         painter.drawText(room, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, count)
         left = room.width() - _GAP - plain.horizontalAdvance(count)

@@ -8,20 +8,12 @@ from math import pi, radians
 import numpy as np
 import numpy.typing as npt
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import (
-    QColor,
-    QKeyEvent,
-    QMouseEvent,
-    QPainter,
-    QPaintEvent,
-    QPalette,
-    QWheelEvent,
-)
+from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QWheelEvent
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float64Array
 from ..basics.layouts import vbox
-from ..basics.overlays import Notice, Wipe
+from ..basics.overlays import Notice, Reading, Wipe
 from .cloud_canvas import CloudCanvas, Place
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
@@ -196,6 +188,15 @@ class CloudView(QWidget):
     def mark(self) -> Place | None:
         return self._canvas.mark
 
+    def set_readings(self, readings: Sequence[Reading]) -> None:
+        """Show numbers in large type over the upper left corner."""
+        if readings != self._canvas.readings:
+            self._canvas.readings = readings
+            self._canvas.update()
+
+    def readings(self) -> Sequence[Reading]:
+        return self._canvas.readings
+
     def _show_count(self) -> None:
         self._header.set_count(self.point_count())
         wipe = self._canvas.wipe
@@ -289,7 +290,7 @@ class CloudView(QWidget):
         return QSize(420, 440)
 
     def minimumSizeHint(self) -> QSize:
-        return QSize(160, 160)
+        return QSize(120, 100)
 
     def _start_framing(self) -> None:
         if not self._steered and self._canvas.cloud is not None:
@@ -391,11 +392,6 @@ class CloudView(QWidget):
     def _zoom(self, factor: float, at: QPointF | None = None) -> None:
         at = at or QPointF(self._canvas.width() / 2, self._canvas.height() / 2)
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
-
-    def paintEvent(self, _event: QPaintEvent | None) -> None:
-        painter = QPainter(self)
-        painter.setPen(self.palette().color(QPalette.ColorRole.Mid))
-        painter.drawRect(self._canvas.geometry().adjusted(-1, -1, 0, 0))
 
 
 def as_place(point: npt.ArrayLike) -> Place:

@@ -1,10 +1,10 @@
-"""Four linked images of one frame: colour, both depths, relative difference."""
+"""Four linked images of one frame: colour, both depths, relative difference; one at a time, or all with room."""
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QRectF, Qt, pyqtSignal
+from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QPalette, QResizeEvent
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFrame, QGridLayout, QPushButton, QSizePolicy, QTabBar, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_legend, difference_legend
 from ..basics.controls import ElidedLabel, wrapped_label
@@ -22,10 +22,14 @@ PANES = {
     "tactile": "Tactile depth (aligned)",
     "difference": "Relative difference",
 }
+#: Short titles, for the tabs.
+TABS = {"color": "Colour", "proximity": "Proximity", "tactile": "Tactile", "difference": "Difference"}
 #: The panes that a rig with a tactile camera only does not have.
 _OF_TWO_CAMERAS = ("proximity", "difference")
 
 _EMPTY = "No frame yet"
+#: From this size on, in pixels, all images are shown instead of one with tabs.
+_ROOM_FOR_ALL = QSize(640, 400)
 
 
 class _Banner(QFrame):
@@ -83,16 +87,26 @@ class ImageStrip(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Images of the current frame")
 
-        row = QHBoxLayout()
-        row.setSpacing(8)
-        for name, pane in self.panes.items():
-            row.addWidget(pane, 1)
+        self.tabs = QTabBar()
+        self.tabs.setAccessibleName("Image")
+        self.tabs.setDrawBase(False)
+        self.tabs.setExpanding(False)
+        self.tabs.setUsesScrollButtons(False)
+        self._enlarged = ""
+        grid = QGridLayout()
+        grid.setSpacing(4)
+        for index, (name, pane) in enumerate(self.panes.items()):
+            self.tabs.addTab(TABS[name])
+            self.tabs.setTabToolTip(index, PANES[name])
+            grid.addWidget(pane, index // 2, index % 2)
             pane.set_message(_EMPTY)
             self._connect_pane(name, pane)
-        vbox((row, 1), self.readout, within=self, margins=4, spacing=4)
+        self.tabs.currentChanged.connect(lambda _: self.show_panes())
+        vbox(self.tabs, (grid, 1), self.readout, within=self, margins=0, spacing=4)
         self.banner = _Banner(self)
         self.banner.done.clicked.connect(self.pickingDone)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.show_panes()
         self.reset_view()
 
     def set_images(self, rendered: RenderedStrip | None, right: RenderedStrip | None = None) -> None:
@@ -129,9 +143,27 @@ class ImageStrip(QWidget):
             self.panes["tactile"].title.setText(PANES["tactile"] if two else "Tactile depth")
             self.show_panes()
 
+    def choose(self, name: str) -> None:
+        """Turn to the image of a name."""
+        self.tabs.setCurrentIndex(list(self.panes).index(name))
+
+    def enlarge(self, name: str) -> None:
+        """Show only the image of a name, over the whole strip; an empty name ends that."""
+        self._enlarged = name
+        self.show_panes()
+
     def show_panes(self) -> None:
+        room = self.size()
+        there = [name for name in self.panes if self._two_cameras or name not in _OF_TWO_CAMERAS]
+        for index, name in enumerate(self.panes):
+            self.tabs.setTabVisible(index, name in there)
+        every = room.width() >= _ROOM_FOR_ALL.width() and room.height() >= _ROOM_FOR_ALL.height()
+        one = list(self.panes)[max(0, self.tabs.currentIndex())]
+        shown = [self._enlarged] if self._enlarged else there if every else [one]
+        self.tabs.setVisible(not every and not self._enlarged)
         for name, pane in self.panes.items():
-            pane.setVisible(self._two_cameras or name not in _OF_TWO_CAMERAS)
+            pane.setVisible(name in shown)
+            pane.title.setVisible(self.tabs.isHidden())
         self._check_hint()
 
     def set_badge(self, text: str) -> None:
@@ -219,14 +251,15 @@ class ImageStrip(QWidget):
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
+        self.show_panes()
         self._fit_legends()
         self._place_banner()
 
     def _place_banner(self) -> None:
-        """Put the banner over the other images, or over an enlarged colour image."""
+        """Put the banner over the other images, or over tabs and legend of the only one."""
         color = self.panes["color"].geometry()
-        left = color.right() + 4 if color.right() < self.width() / 2 else color.left()
-        self.banner.place(left, self.width() - left - 4)
+        left = color.right() + 4 if self.tabs.isHidden() and color.right() < self.width() / 2 else 0
+        self.banner.place(left, self.width() - left)
 
     def _zoom(self, factor: float) -> None:
         self._fitted = False

@@ -1,16 +1,15 @@
-"""A form of fields: for each a label, its editor, the unit, a reset button, and lines for a refusal and a finding."""
+"""A form of fields: for each a label, its editor, the unit, a reset button, and a line for a refusal."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
 from typing import Any, Final
 
-from PyQt6.QtCore import QObject, Qt, pyqtSignal
+from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
 
-from ..basics.controls import FoldButton, NoteLabel, TintedLabel, push_button, tool_button
+from ..basics.controls import FoldButton, NoteLabel, TintedLabel, tool_button
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
 from ..basics.layouts import vbox
@@ -19,43 +18,6 @@ from .editors import NumbersEditor, make_editor
 #: Columns of a form: label, editor, unit, reset button.
 COLUMNS: Final = 4
 _RESET_WIDTH = 20
-
-
-@dataclass(frozen=True)
-class ShownFinding:
-    """A finding as it is shown: the sentence, and text and tooltip of its button; without a text there is none."""
-
-    sentence: str
-    button: str = ""
-    tip: str = ""
-
-
-class FindingLine(QWidget):
-    """A sentence in the colour of warnings and the button below it; hidden without a finding."""
-
-    pressed = pyqtSignal()
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._sentence = TintedLabel(color="warning")
-        self._sentence.setWordWrap(True)
-        self.button = push_button("", "")
-        self.button.clicked.connect(self.pressed)
-        layout = vbox(self._sentence, within=self, margins=(0, 0, 0, 4), spacing=4)
-        layout.addWidget(self.button, 0, Qt.AlignmentFlag.AlignRight)
-        self.hide()
-
-    @property
-    def sentence(self) -> str:
-        return self._sentence.text()
-
-    def show_finding(self, finding: ShownFinding | None) -> None:
-        shown = finding or ShownFinding("")
-        self._sentence.setText(shown.sentence)
-        self.button.setText(shown.button)
-        self.button.setToolTip(shown.tip)
-        self.button.setVisible(bool(shown.button))
-        self.setVisible(finding is not None)
 
 
 class ParameterRow(QObject):
@@ -68,7 +30,7 @@ class ParameterRow(QObject):
         self.spec = spec
         self.editor: Any = make_editor(spec)
         self.widget: QWidget = self.editor
-        self.label = QLabel(spec.title)
+        self.label = TintedLabel(spec.title)
         self.label.setBuddy(getattr(self.widget, "entry", self.widget))
         self.label.setToolTip(spec.tooltip)
         if isinstance(self.widget, QCheckBox) and not self.in_header:
@@ -82,7 +44,6 @@ class ParameterRow(QObject):
         self.label.setMinimumHeight(self.reset.sizeHint().height())  # the row keeps its height when it is hidden
         self.message = NoteLabel()
         self.message.hide()
-        self.finding = FindingLine()
         self._is_placed, self._is_shown = False, True
         self.editor.edited.connect(self._edited)
         if isinstance(self.widget, NumbersEditor):
@@ -104,7 +65,6 @@ class ParameterRow(QObject):
         grid.addWidget(self.unit, line, 2)
         grid.addWidget(self.reset, line, 3)
         grid.addWidget(self.message, line + 2, 0, 1, COLUMNS)
-        grid.addWidget(self.finding, line + 3, 0, 1, COLUMNS)
         if self.spec.kind in ("rectangle", "matrix"):
             grid.addWidget(self.widget, line + 1, 0, 1, COLUMNS)
         else:
@@ -116,7 +76,6 @@ class ParameterRow(QObject):
         for widget in (self.label, self.widget, self.unit):
             widget.setVisible(shown)
         self.message.setVisible(shown and bool(self.message.text()))
-        self.finding.setVisible(shown and bool(self.finding.sentence))
         self._update_reset()
 
     def set_editable(self, editable: bool) -> None:
@@ -142,6 +101,11 @@ class ParameterRow(QObject):
     def refuse(self, sentence: str) -> None:
         self.message.say(sentence, error=True)
         self.message.setVisible(bool(sentence))
+
+    def show_finding(self, sentence: str) -> None:
+        """Mark the label of a field with which something is wrong, and say what in its tooltip; "" ends that."""
+        self.label.tint("warning" if sentence else "")
+        self.label.setToolTip(sentence or self.spec.tooltip)
 
     def _update_reset(self) -> None:
         wanted = self._is_shown and self.widget.isEnabled() and self.differs()
@@ -186,12 +150,11 @@ class Form(QWidget):
         return [row for row in self.rows.values() if row.spec.advanced]
 
     def add(self, row: ParameterRow) -> None:
-        """Append a row; one that belongs into a section's header only with its lines for a refusal and a finding."""
+        """Append a row; one that belongs into a section's header only with its line for a refusal."""
         self.rows[row.spec.path] = row
         row.edited.connect(self.edited)
         if row.in_header:
             self.add_line(row.message)
-            self.add_line(row.finding)
         elif row.spec.advanced:
             row.add_to(self._hidden)
             self.more.show()

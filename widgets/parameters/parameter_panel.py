@@ -21,7 +21,7 @@ from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
-from .form import Form, ParameterRow, ShownFinding, align_columns
+from .form import Form, ParameterRow, align_columns
 
 #: The sections of the panel, top to bottom: part of the preset, title.
 SECTIONS = (
@@ -59,8 +59,7 @@ class ParameterPanel(QScrollArea):
     valuesEdited = pyqtSignal(object, int)
     eyedropperRequested = pyqtSignal(str)  # mode: "set", "expand", or "off"
     maskShown = pyqtSignal(bool)  # whether the colour image is tinted where the mask covers it
-    suggestRequested = pyqtSignal(str)  # section: a proposal for a section is wanted; ``"all"`` for all sections
-    remedyPressed = pyqtSignal(str)  # path: the button of the finding below a row was pressed
+    suggestRequested = pyqtSignal(str)  # section: a proposal for a section is wanted
 
     def __init__(self, suggestible: Collection[str] = ()) -> None:
         super().__init__()
@@ -79,13 +78,6 @@ class ParameterPanel(QScrollArea):
 
         content = QWidget()
         self._column = vbox(within=content, margins=4, spacing=8)
-        if suggestible:
-            words = QLabel("Parameters")
-            words.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-            suggest = self._make_suggest(
-                "all", "Suggest all", "Propose values for all sections, each with its evidence"
-            )
-            self._column.addLayout(hbox((words, 1), suggest, margins=(4, 0, 4, 0)))
         for name, title in SECTIONS:
             self._column.addWidget(self._make_section(name, title, name in suggestible))
         self._column.addStretch(1)
@@ -134,20 +126,19 @@ class ParameterPanel(QScrollArea):
         for row in self.rows.values():
             row.refuse("")
 
-    def go_to(self, name: str) -> None:
-        section = self.sections[name]
-        section.set_collapsed(False)
-        bar = self.verticalScrollBar()
-        if bar is not None:
-            bar.setValue(section.y())
-        first = next(iter(self.forms[name].rows.values()))
-        first.tab_stops[0].setFocus(Qt.FocusReason.OtherFocusReason)
+    def go_to(self, path: str) -> None:
+        """Unfold the section of a field and give the field the focus."""
+        self.sections[_section_of(path)].set_collapsed(False)
+        self._unfold(path)
+        row = self.rows[path]
+        self._column.activate()  # else the row has no place yet
+        self.ensureWidgetVisible(row.widget)
+        row.tab_stops[0].setFocus(Qt.FocusReason.ShortcutFocusReason)
 
-    def show_findings(self, findings: Mapping[str, ShownFinding]) -> None:
+    def show_findings(self, findings: Mapping[str, str]) -> None:
+        """Mark the fields with which something is wrong, by path, with the sentence that says what."""
         for path, row in self.rows.items():
-            if path in findings and not row.finding.sentence:
-                self._unfold(path)
-            row.finding.show_finding(findings.get(path))
+            row.show_finding(findings.get(path, ""))
 
     def _unfold(self, path: str) -> None:
         if self.rows[path].spec.advanced:
@@ -212,7 +203,6 @@ class ParameterPanel(QScrollArea):
         vbox(form, within=section.body, margins=0)
         for spec in fields_of(name):
             row = self.rows[spec.path] = ParameterRow(spec, section)
-            row.finding.pressed.connect(lambda path=spec.path: self.remedyPressed.emit(path))
             form.add(row)
             if row.in_header:
                 section.add_header_widget(row.widget)
@@ -250,25 +240,25 @@ class ParameterPanel(QScrollArea):
             form.add_line(histogram)
 
     def _make_suggest(self, name: str, text: str, tip: str) -> QToolButton:
-        button = tool_button(text, tip, text if name == "all" else f"{text} {name.replace('_', ' ')}")
+        button = tool_button(text, tip, f"{text} {name.replace('_', ' ')}")
         button.clicked.connect(lambda: self.suggestRequested.emit(name))
         self.suggests[name] = button
         return button
 
     def _order_tabs(self) -> None:
         """Let Tab go through the panel as one reads it."""
-        chain: list[QWidget] = [self.suggests["all"]] if self.suggests else []
+        chain: list[QWidget] = []
         for name, form in self.forms.items():
             rows = form.rows.values()
             header = [row.widget for row in rows if row.in_header]
             suggest = [self.suggests[name]] if name in self.suggests else []
             chain += [self.sections[name].button, *header, *suggest, self.section_resets[name]]
             plain = [row for row in rows if not row.in_header and not row.spec.advanced]
-            chain += [stop for row in plain for stop in (*row.tab_stops, row.reset, row.finding.button)]
+            chain += [stop for row in plain for stop in (*row.tab_stops, row.reset)]
             if name == "mask":
                 chain += [*self.eyedroppers.values(), self.show_mask]
             chain.append(form.more)
-            chain += [stop for row in form.advanced for stop in (*row.tab_stops, row.reset, row.finding.button)]
+            chain += [stop for row in form.advanced for stop in (*row.tab_stops, row.reset)]
         for first, second in pairwise(chain):
             QWidget.setTabOrder(first, second)
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QMouseEvent
+from PyQt6.QtGui import QAction, QColor, QKeyEvent, QMouseEvent
 from PyQt6.QtWidgets import QGridLayout, QWidget
 
 from ...core.errors import minus
@@ -40,7 +40,16 @@ CURVES: Final = (
 )
 #: Time that a live source shows, seconds.
 LIVE_S: Final = 60.0
-_HEIGHT = 84
+_HEIGHT = 72
+#: Frames that a key goes on, as in a slider.
+_STEPS: Final[dict[int, int]] = {
+    Qt.Key.Key_Left: -1,
+    Qt.Key.Key_Right: 1,
+    Qt.Key.Key_PageUp: -10,
+    Qt.Key.Key_PageDown: 10,
+    Qt.Key.Key_Home: -(10**9),
+    Qt.Key.Key_End: 10**9,
+}
 _NO_TRUTH = "This source does not know the true contact"
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
@@ -80,6 +89,12 @@ class _StripPlot(Plot):
     def mouseDoubleClickEvent(self, _: QMouseEvent) -> None:
         self._strip.show_all()
 
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        if event.key() in _STEPS and event.modifiers() == Qt.KeyboardModifier.NoModifier:
+            self._strip.step(_STEPS[event.key()])
+        else:
+            event.ignore()
+
     def leaveEvent(self, event: QEvent) -> None:
         super().leaveEvent(event)
         self._strip.show_words()
@@ -106,12 +121,12 @@ class TimeStrip(QWidget):
         self.curve_box = self._make_curve_box()
         self.plot_widget = _StripPlot(self)
         self._make_plot()
-        self._buttons = hbox(STRETCH, spacing=0)
-        side = vbox(self.curve_box, self._buttons, STRETCH, spacing=4)
+        self._buttons = hbox((self.curve_box, 1), 4, spacing=0)
+        self._side = vbox(self._buttons, STRETCH, spacing=4)
         layout = QGridLayout(self)
         layout.setContentsMargins(4, 0, 4, 0)
         layout.setHorizontalSpacing(4)
-        layout.addLayout(side, 0, 0)
+        layout.addLayout(self._side, 0, 0)
         layout.addWidget(self.plot_widget, 0, 1)
         layout.setColumnStretch(1, 1)
         self.plot_widget.follow_theme(self._recolor)
@@ -130,7 +145,11 @@ class TimeStrip(QWidget):
         view = self.plot_widget
         view.setMouseTracking(True)
         view.setAccessibleName("Time strip")
-        view.setToolTip("Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything.")
+        view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        view.setToolTip(
+            "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
+            "Keys: arrows, page up and down, home and end."
+        )
         plot = self._plot = view.getPlotItem()
         plot.setMouseEnabled(x=True, y=False)
         plot.setContentsMargins(0, 4, 8, 0)
@@ -147,9 +166,11 @@ class TimeStrip(QWidget):
             plot.addItem(item, ignoreBounds=True)
         self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -3))
 
-    def add_buttons(self, actions: Sequence[QAction]) -> None:
+    def add_controls(self, transport: QWidget, actions: Sequence[QAction]) -> None:
+        """Put the buttons of playback and those of some actions beside the plot."""
+        self._side.insertWidget(0, transport)
         for action in actions:
-            self._buttons.insertWidget(self._buttons.count() - 1, action_button(action))
+            self._buttons.addWidget(action_button(action))
 
     @property
     def curve(self) -> Curve:
@@ -261,10 +282,15 @@ class TimeStrip(QWidget):
             self.held.emit(held)
 
     def seek(self, time_s: float) -> None:
-        if not len(self._seconds) or self._live:
-            return
-        index = self._frame_at(time_s)
-        if index != self._index:
+        if len(self._seconds):
+            self._go_to(self._frame_at(time_s))
+
+    def step(self, frames: int) -> None:
+        """Go some frames on, or back, at most to an end."""
+        self._go_to(min(max(self._index + frames, 0), len(self._seconds) - 1))
+
+    def _go_to(self, index: int) -> None:
+        if index != self._index and not self._live and len(self._seconds):
             self._index = index
             self._place_cursor()
             self.seekRequested.emit(index)
@@ -273,7 +299,7 @@ class TimeStrip(QWidget):
         if not len(self._seconds):
             return
         index, curve = self._frame_at(time_s), self.curve
-        value = float(self._values[curve.key][index])
+        value = float(self._values[curve.key][index]) if curve.key in self._values else math.nan
         known = f"{minus(format_number(value, 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
         self._write(f"{place}: {known}")

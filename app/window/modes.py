@@ -1,0 +1,162 @@
+"""The three modes of the window, in the order of work: the controls of each at the right, and its next step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QActionGroup
+from PyQt6.QtWidgets import QLabel, QStackedWidget, QToolButton, QWidget
+
+from ...widgets.basics.controls import NoteLabel, text_button
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.theme import text_font
+from ..context import Context
+from ..worker.results import SourceInfo
+from .actions import Actions
+from .publishing import PublishPanel
+from .recording import RecordingBar
+from .status import FrameDetails
+
+#: Width of the controls, pixels: it is the same in every mode.
+COLUMN_PX = 364
+
+
+class Mode(StrEnum):
+    """A mode, by the name of its action."""
+
+    SET_UP = "set_up"
+    TUNE = "tune"
+    RUN = "run"
+
+
+class RunPanel(QWidget):
+    """The controls of *Record and run*."""
+
+    def __init__(
+        self, actions: Actions, recording: RecordingBar, publishing: PublishPanel, details: FrameDetails
+    ) -> None:
+        super().__init__()
+        folder = text_button(actions.recordings_folder)
+        marks = [text_button(action) for action in (actions.mark_in, actions.mark_out, actions.clear_marks)]
+        vbox(
+            heading("Record"),
+            hbox(text_button(actions.record), folder, STRETCH),
+            recording,
+            8,
+            heading("Part of the recording"),
+            hbox(*marks, STRETCH),
+            hbox(text_button(actions.export), STRETCH),
+            8,
+            heading("Publish"),
+            publishing,
+            8,
+            heading("This frame"),
+            details,
+            STRETCH,
+            within=self,
+            margins=8,
+        )
+        self.setAccessibleName("Record and run")
+
+
+def heading(text: str) -> QLabel:
+    label = QLabel(text)
+    label.setFont(text_font("body", bold=True))
+    return label
+
+
+class ModeColumn(QWidget):
+    """Shows the next step and, below it, the controls of the mode."""
+
+    modeChanged = pyqtSignal()
+
+    def __init__(self, context: Context, actions: Actions, panels: Mapping[Mode, QWidget]) -> None:
+        super().__init__()
+        self._context, self._actions, self._panels = context, actions, panels
+        self._info: SourceInfo | None = None
+        self._recording = False
+        self._sentence = NoteLabel(lines=3)
+        self.button = QToolButton()
+        self.button.setProperty("primary", True)
+        self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
+        self.button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.stack = QStackedWidget()
+        for panel in panels.values():
+            self.stack.addWidget(panel)
+        self._step = QWidget()
+        hbox((self._sentence, 1), vbox(self.button, STRETCH), within=self._step, margins=(8, 4, 8, 4))
+        vbox(self._step, (self.stack, 1), within=self, margins=0, spacing=4)
+        group = QActionGroup(self)
+        for mode in Mode:
+            action = self.action_of(mode)
+            group.addAction(action)
+            action.toggled.connect(lambda chosen, mode=mode: self._show_mode(mode) if chosen else None)
+        worker, document = context.worker, context.document
+        worker.opened.connect(self._opened)
+        worker.recordingStarted.connect(lambda _: self._show_recording(True))
+        worker.recordingEnded.connect(lambda _: self._show_recording(False))
+        for changed in (document.presetChanged, document.fileChanged, context.trimChanged):
+            changed.connect(self._show_step)
+        self._show_step()
+
+    def action_of(self, mode: Mode) -> QAction:
+        return self._actions.by_name()[mode.value]
+
+    @property
+    def mode(self) -> Mode:
+        return next(mode for mode in Mode if self.action_of(mode).isChecked())
+
+    def choose(self, name: str) -> None:
+        """Show a mode by its name; an unknown one is the first."""
+        self.action_of(Mode(name) if name in list(Mode) else Mode.SET_UP).setChecked(True)
+
+    def _show_mode(self, mode: Mode) -> None:
+        self.stack.setCurrentWidget(self._panels[mode])
+        self._step.setVisible(mode is not Mode.SET_UP)  # its own panel names the next step
+        self._show_step()
+        self.modeChanged.emit()
+
+    def _opened(self, info: SourceInfo) -> None:
+        self._info = info
+        self._show_step()
+
+    def _show_recording(self, running: bool) -> None:
+        self._recording = running
+        self._show_step()
+
+    def _show_step(self) -> None:
+        context = self._context
+        sentence, name = next_step(self.mode, self._info, context.document.dirty, self._recording, context.trim)
+        self._sentence.setText(sentence)
+        for shown in self.button.actions():
+            self.button.removeAction(shown)
+        self.button.setDefaultAction(self._actions.by_name()[name])
+
+
+def next_step(
+    mode: Mode,
+    info: SourceInfo | None,
+    dirty: bool,
+    recording: bool,
+    trim: tuple[int, int] | None,
+) -> tuple[str, str]:
+    """Return what to do next in a mode, in words, and the name of the action that does it."""
+    live = info is not None and info.length is None
+    several = info is not None and (info.length or 0) > 1
+    steps = {
+        Mode.TUNE: (
+            (dirty, "Values were changed: save them in the preset.", "save"),
+            (True, "Let the newest frames propose values for all sections.", "suggest_all"),
+        ),
+        Mode.RUN: (
+            (recording, "Press the object, then finish the recording.", "record"),
+            (live, "Record every frame of the cameras.", "record"),
+            (several and trim is None, "Mark where the part to export begins (I) and ends (O).", "mark_in"),
+            (True, "Export the marked frames for other tools.", "export"),
+        ),
+    }
+    if info is None or mode is Mode.SET_UP:
+        return "Open cameras, a recording or the simulator.", "open_source"
+    return next((sentence, action) for wanted, sentence, action in steps[mode] if wanted)

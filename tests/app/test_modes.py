@@ -1,0 +1,76 @@
+"""The three modes, the bar at the top and the search, by real keys and mouse."""
+
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from fakes import FakeSource
+from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
+from tactune.app.window.modes import Mode
+
+KEYS = {Mode.SET_UP: Qt.Key.Key_1, Mode.TUNE: Qt.Key.Key_2, Mode.RUN: Qt.Key.Key_3}
+
+
+def places(window, *widgets):
+    return [(widget.mapTo(window, QPoint(0, 0)), widget.size()) for widget in widgets]
+
+
+def search(window, words):
+    QTest.keyClick(window, Qt.Key.Key_P, CONTROL_SHIFT)
+    assert window.search.hasFocus()
+    QTest.keyClicks(window.search, words)
+    QTest.keyClick(window.search, Qt.Key.Key_Return)
+
+
+def test_keys_choose_a_mode_and_its_controls_and_nothing_else_moves(window):
+    fixed = (window.mode_bar, window.search, window.mode_bar.source, window.mode_bar.preset, window.views, window.rail)
+    before = places(window, *fixed)
+    panels = {Mode.SET_UP: window.set_up, Mode.TUNE: window.panel, Mode.RUN: window.publishing.panel}
+    for mode, key in KEYS.items():
+        QTest.keyClick(window, key, CONTROL)
+        QApplication.processEvents()
+        assert [other for other, panel in panels.items() if panel.isVisible()] == [mode]
+        assert places(window, *fixed) == before
+    window.document.edit("name", "a preset with a name that is longer than its button")
+    QApplication.processEvents()
+    assert places(window, *fixed) == before
+
+
+def test_the_mode_is_remembered(make_window, qtbot):
+    window = make_window()
+    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
+    window.close()
+    again = make_window()
+    assert again.modes.mode is Mode.RUN
+
+
+def test_the_next_step_has_its_button(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
+    QTest.mouseClick(window.modes.button, LEFT)
+    assert window.context.trim == (3, 8), "mark the part to export"
+    assert window.modes.button.defaultAction() is window.actions_.export
+    QTest.keyClick(window, Qt.Key.Key_2, CONTROL)
+    assert window.modes.button.defaultAction() is window.actions_.suggest_all
+    window.document.edit("tolerance.t", 0.02)
+    assert window.modes.button.defaultAction() is window.actions_.save
+    window.context.trim = None
+
+
+def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):
+    search(window, "in mark")
+    qtbot.waitUntil(lambda: window.context.trim == (3, 8))
+    assert window.search.text() == ""
+    window.timeline.clear_marks()
+    window.panel.set_collapsed_sections(["mask"])
+    QTest.keyClick(window, Qt.Key.Key_1, CONTROL)
+    search(window, "mask: hue")
+    row = window.panel.rows["mask.hue"]
+    qtbot.waitUntil(lambda: any(stop.hasFocus() for stop in row.tab_stops))
+    assert window.modes.mode is Mode.TUNE and row.widget.isVisible()
+
+
+def test_search_finds_every_action_and_every_parameter(window, qtbot):
+    show_source(qtbot, window, FakeSource(), 3)
+    names = [name for name, *_ in window._found_by_name()]
+    assert len(names) >= len(window.actions_.all()) + len(window.panel.rows)
+    assert len(names) == len(set(names)), "each name means one thing"
