@@ -15,7 +15,9 @@ def places(window, *widgets):
     return [(widget.mapTo(window, QPoint(0, 0)), widget.size()) for widget in widgets]
 
 
-def search(window, words):
+def search(qtbot, window, words):
+    window.activateWindow()  # the list of an earlier search may have been active
+    qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_P, CONTROL_SHIFT)
     assert window.search.hasFocus()
     QTest.keyClicks(window.search, words)
@@ -57,14 +59,14 @@ def test_the_next_step_has_its_button(window, qtbot):
 
 
 def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):
-    search(window, "in mark")
+    search(qtbot, window, "in mark")
     qtbot.waitUntil(lambda: window.context.trim == (3, 8))
     assert window.search.text() == ""
     window.timeline.clear_marks()
-    window.panel.set_collapsed_sections(["mask"])
+    window.panel.set_collapsed_sections(["tolerance"])
     QTest.keyClick(window, Qt.Key.Key_1, CONTROL)
-    search(window, "mask: hue")
-    row = window.panel.rows["mask.hue"]
+    row = window.panel.rows["tolerance.t"]
+    search(qtbot, window, f"tolerance: {row.spec.title.lower()}")
     qtbot.waitUntil(lambda: any(stop.hasFocus() for stop in row.tab_stops))
     assert window.modes.mode is Mode.TUNE and row.widget.isVisible()
 

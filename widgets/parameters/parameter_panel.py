@@ -131,6 +131,8 @@ class ParameterPanel(QScrollArea):
         self.sections[_section_of(path)].set_collapsed(False)
         self._unfold(path)
         row = self.rows[path]
+        if not row.widget.isEnabled():  # the section is off: show its switch
+            row = self.rows.get(f"{_section_of(path)}.enabled", row)
         self._column.activate()  # else the row has no place yet
         self.ensureWidgetVisible(row.widget)
         row.tab_stops[0].setFocus(Qt.FocusReason.ShortcutFocusReason)
