@@ -157,8 +157,8 @@ class MainWindow(QMainWindow):
         panels = {Mode.SET_UP: scrolling(self.set_up), Mode.TUNE: self.panel, Mode.RUN: scrolling(run)}
         self.modes = ModeColumn(self.context, self.actions_, panels)
         self._compared = scrolling(self.comparison)
-        for part in (self.comparison, self._compared):
-            part.hide()
+        self.comparison.hide()
+        self._compared.hide()
         vbox((self._compared, 1), (self.modes, 1), self.rail, within=self.beside, margins=0, spacing=4)
         self.beside.setFixedWidth(COLUMN_PX)
         self.search = Search(self._found_by_name, self.views.setFocus)
