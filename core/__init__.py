@@ -15,8 +15,8 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # messages of ours say what is wrong with an image
 
 if TYPE_CHECKING:
-    from .calibration import calibrate as calibrate
-    from .calibration import read_points as read_points
+    from .calibration.calibrate import calibrate as calibrate
+    from .calibration.points import read_points as read_points
     from .contact.pipeline import ContactPipeline as ContactPipeline
     from .errors import TactuneError as TactuneError
     from .estimation.pose import PoseTracker as PoseTracker
@@ -46,11 +46,11 @@ _HOME = {
     "SessionWriter": ".output.writer",
     "TactuneError": ".errors",
     "TiltEstimator": ".estimation.tilt",
-    "calibrate": ".calibration",
+    "calibrate": ".calibration.calibrate",
     "load_preset": ".sources.presets",
     "measure_noise": ".rig.noise",
     "open_source": ".sources.registry",
-    "read_points": ".calibration",
+    "read_points": ".calibration.points",
     "save_preset": ".preset.file",
     "suggest_all": ".tuning.advice.suggest",
 }

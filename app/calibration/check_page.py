@@ -6,9 +6,9 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QButtonGroup, QLabel, QSlider, QWidget
 
-from ...core.calibration import CalibrationReport
 from ...core.calibration.check import compare_alignments
 from ...core.calibration.geometry import Alignment
+from ...core.calibration.report import CalibrationReport
 from ...core.contact.checks import rig_in_use
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection

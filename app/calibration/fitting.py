@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.calibration import CalibrationReport, calibrate
+from ...core.calibration.calibrate import calibrate
 from ...core.calibration.geometry import Alignment
-from ...core.calibration.report import PairQuality
+from ...core.calibration.report import CalibrationReport, PairQuality
 from ...core.errors import CalibrationError, counted
 from ...core.model.alignment import PointPair, Side, SnapshotRecord
 from ...core.model.arrays import Float64Array

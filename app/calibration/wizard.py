@@ -11,9 +11,9 @@ from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
 
-from ...core.calibration import CalibrationReport, read_points, write_points
 from ...core.calibration.check import compare_alignments, is_worse
-from ...core.calibration.report import grade
+from ...core.calibration.points import read_points, write_points
+from ...core.calibration.report import CalibrationReport, grade
 from ...core.errors import TactuneError, counted
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up

@@ -48,8 +48,8 @@ def calibrate(
     ] = None,
 ) -> None:
     """Fit the alignment to clicked points and report its quality."""
-    from ...core.calibration import calibrate as fit
-    from ...core.calibration import read_points
+    from ...core.calibration.calibrate import calibrate as fit
+    from ...core.calibration.points import read_points
     from ...core.preset import Preset
     from ...core.preset.file import save_preset
     from ...core.sources.presets import load_preset

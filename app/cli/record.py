@@ -25,7 +25,7 @@ from .common import (
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
-    from ...core.output import SessionWriter
+    from ...core.output.writer import SessionWriter
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
@@ -50,7 +50,7 @@ def record(
     All frames of a recording or of the simulator are written, at the speed of the disk. A live source does not wait:
     frames that the disk was too slow for are dropped and counted.
     """
-    from ...core.output import SessionWriter
+    from ...core.output.writer import SessionWriter
     from ...core.sources.presets import load_preset
 
     if out.suffix != ".mcap":

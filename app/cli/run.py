@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ...core.errors import counted
-from ...core.model.files import finite_or_none
+from ...core.model.files import check_writable, finite_or_none
 from .common import (
     SOURCE,
     CliProgress,
@@ -60,6 +61,7 @@ _EXAMINED_EVERY = 15
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
 Estimate = Literal["tilt", "tilt-filtered"]
+Lines = Literal["json", "text"]
 EstimateOption = Annotated[
     Estimate | None,
     typer.Option(
@@ -81,7 +83,7 @@ def run(
         typer.Option("--out", "-o", metavar="DIR|FILE.mcap", help="A folder for .npz files, or a ROS 2 bag."),
     ] = None,
     json_lines: Annotated[
-        bool, typer.Option("--json", help="Print a JSON line for each frame at once; no summary.")
+        bool, typer.Option("--json", help="Print a line of JSON for each frame; no summary.")
     ] = False,
     truth: TruthOption = False,
     settings: SetOption = None,
@@ -90,20 +92,18 @@ def run(
     ] = False,
     estimate: EstimateOption = None,
 ) -> None:
-    """Compute contact patches without a window."""
-    if out is None and not json_lines and not truth and not watch:
-        raise typer.BadParameter(
-            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, or "
-            "--watch for the check for drift"
-        )
+    """Compute contact patches without a window: a line for each frame, unless they are written to --out, and a summary.
+
+    Ctrl+C ends it, with the summary. The exit status is then 130, but 0 for live cameras, which have no other end.
+    """
     if estimate is not None and not json_lines:
         raise typer.BadParameter("--estimate is printed with --json; add it")
 
     source = with_topics(source, topics)
     chosen, origin = chosen_preset(preset, source)
     chosen = chosen.with_values(parse_settings(settings))
-    if out is not None and out.suffix != MCAP_SUFFIX:
-        out.mkdir(parents=True, exist_ok=True)  # before anything is computed
+    if out is not None:
+        check_writable(out / "patch" if out.suffix != MCAP_SUFFIX else out)  # before anything is computed
     with open_pipeline(source, chosen, origin) as (opened, pipeline):
         tilt = make_tilt(estimate, chosen, opened.rig)
         with (
@@ -111,7 +111,8 @@ def run(
             stop_on_signals() as stopped,
             _patch_output(out, opened, chosen) as save,
         ):
-            done, records = _process(opened, pipeline, frames, save, stopped, truth, look, json_lines, tilt)
+            lines: Lines | None = "json" if json_lines else "text" if out is None else None
+            done, records = _process(opened, pipeline, frames, save, stopped, truth, look, lines, tilt)
         if records:
             say("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:
@@ -153,10 +154,10 @@ def _process(
     stopped: Event,
     truth: bool,
     look: Look,
-    json_lines: bool,
+    lines: Lines | None,
     tilt: Estimator | None,
 ) -> tuple[int, list[Record]]:
-    """Process and save up to ``frames`` frames; return their number and, unless printed as lines, their records."""
+    """Process, save and print up to ``frames`` frames; return their number and what the summary is made of."""
     from ...core.tuning.advice.findings import Examiner
 
     records: list[Record] = []
@@ -164,24 +165,23 @@ def _process(
     examiner = Examiner(source.rig)
     found: tuple[Finding, ...] = ()
     total = number_of_frames(source, frames)
-    with CliProgress(quiet=json_lines) as progress:
+    with CliProgress(quiet=lines is not None) as progress:
         for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
-            record = _patch_record(patch, frame)
-            if truth:
-                record |= _truth_record(patch, frame.truth, source.rig)
-                scored |= record["iou"] is not None
-            if tilt is not None:
-                record["tilt"] = tilt(patch, frame).record()
+            scores = _scores(patch, frame.truth, source.rig) if truth else {}
+            scored |= scores.get("iou") is not None
             look(frame)
             save(patch, frame)
-            if json_lines:
+            if lines == "json":
                 if done % _EXAMINED_EVERY == 0:
                     found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)
-                record["findings"] = [finding.sentence for finding in found]
-                typer.echo(json.dumps(record, allow_nan=False))
+                estimate = {} if tilt is None else {"tilt": tilt(patch, frame).record()}
+                record = _patch_record(patch, frame) | scores | estimate
+                typer.echo(json.dumps(record | {"findings": [finding.sentence for finding in found]}, allow_nan=False))
             else:
-                records.append(record)
+                if lines == "text":
+                    say(_line(patch, frame, scores))
+                records.append({"area_mm2": patch.area_mm2, "stage_ms": patch.stage_ms, **scores})
             done += 1
             progress.frames(done, total)
     if truth and done and not scored:
@@ -223,7 +223,25 @@ def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
     }
 
 
-def _truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
+def _line(patch: ContactPatch, frame: SensorFrame, scores: Record) -> str:
+    """Return a frame for people: number, time, area and centroid, doubt, processing time."""
+    parts = ["no contact"]
+    if patch.centroid_m is not None:
+        x, y, z = (1000 * coordinate for coordinate in patch.centroid_m)
+        # rounded down, so that no doubt is rounded away
+        parts = [
+            f"{patch.area_mm2:7,.0f} mm2 at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+            f"touches {math.floor(100 * patch.doubt.touch_probability)} %",
+        ]
+        if math.isfinite(patch.doubt.boundary_error_mm):
+            parts.append(f"boundary within {patch.doubt.boundary_error_mm:.1f} mm")
+    parts += [f"{key} {value:.3f}{TRUTH_KEYS[key]}" for key, value in scores.items() if type(value) is float]
+    parts.append(f"{sum(patch.stage_ms.values()):.1f} ms")
+    time = f"{frame.proximity_time_s:.3f} s" if math.isfinite(frame.proximity_time_s) else "-"
+    return "; ".join([f"{patch.sequence:6d}  {time}  {', '.join(parts)}", *patch.doubt.reasons])
+
+
+def _scores(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Return the scores against the truth; all are None if the source has no truth."""
     if truth is None:
         return dict.fromkeys(("touched", *TRUTH_KEYS))
@@ -235,11 +253,11 @@ def _truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> R
 
 def _summary(records: list[Record], source: str, preset: str) -> list[str]:
     """Return a few lines about all frames."""
-    touched = [record["area_mm2"] for record in records if record["points"]]
+    areas = [record["area_mm2"] for record in records if record["area_mm2"]]
     contact = "no contact in any of them"
-    if touched:
-        least, most, middle = min(touched), max(touched), median(touched)
-        contact = f"contact in {len(touched)} of them, patch {least:,.0f} to {most:,.0f} mm2, median {middle:,.0f} mm2"
+    if areas:
+        least, most, middle = min(areas), max(areas), median(areas)
+        contact = f"contact in {len(areas)} of them, patch {least:,.0f} to {most:,.0f} mm2, median {middle:,.0f} mm2"
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())

@@ -17,7 +17,7 @@ from .checks import Check, RunChild, State, python_child, run_child
 
 _FRAMES_BYTES = 37e6
 #: Distribution names whose import name differs.
-_IMPORT_NAMES = {"opencv-contrib-python-headless": "cv2"}
+_IMPORT_NAMES = {"opencv-contrib-python-headless": "cv2", "pillow": "PIL"}
 
 _USB = Path("/sys/bus/usb/devices")
 _NODES = Path("/dev/bus/usb")

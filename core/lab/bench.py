@@ -30,10 +30,10 @@ from ..contact.outliers.statistical import statistical_inliers
 from ..contact.pipeline import ContactPipeline
 from ..errors import MissingExtraError, TactuneError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Uint16Array
-from ..model.clouds import nearest_pixels
+from ..model.clouds import nearest_pixels, truth_cloud
 from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
-from ..model.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from ..model.metrics import pixel_scores, symmetric_rmse_m
 from ..preset import Preset
 from ..sources.base import Progress
 from ..sources.presets import load_preset

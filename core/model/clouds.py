@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..errors import SourceError
 from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
-from .frames import NO_DEPTH_COUNTS, DepthCamera
+from .frames import NO_DEPTH_COUNTS, DepthCamera, GroundTruth, Rig
 from .intrinsics import Intrinsics
 
 #: Largest share of an image's pixels that may see nothing.
@@ -86,3 +86,13 @@ def nearest_pixels(points: Float64Array, camera: Intrinsics) -> tuple[IndexArray
 def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
     """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
     return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)
+
+
+def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
+    """Deproject the true depth at every contact pixel that has one; empty if the truth has no depth."""
+    if truth.depth_m is None:
+        return PointCloud(np.empty((0, 3), np.float32))
+    pixels = truth.contact & np.isfinite(truth.depth_m)
+    depth = truth.depth_m[pixels][:, None]
+    rays = ray_table(rig.proximity.intrinsics)[pixels]
+    return PointCloud(np.concatenate([rays * depth, depth], axis=1).astype(np.float32))

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..errors import TactuneError
 from .arrays import BoolArray, Float32Array, Float64Array
-from .clouds import PointCloud, pixel_areas_m2, ray_table
+from .clouds import pixel_areas_m2, truth_cloud
 from .frames import GroundTruth, Rig, SensorFrame
 from .patch import ContactPatch
 
@@ -56,16 +56,6 @@ def patch_overlap(a: ContactPatch, b: ContactPatch) -> PatchOverlap:
 def _area_outside_mm2(patch: ContactPatch, other: ContactPatch) -> float:
     depth_m = patch.points[~other.mask[patch.mask], 2]
     return float(pixel_areas_m2(depth_m, patch.rig.proximity.intrinsics).sum() * 1e6)
-
-
-def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
-    """Deproject the true depth at every contact pixel that has one; empty if the truth has no depth."""
-    if truth.depth_m is None:
-        return PointCloud(np.empty((0, 3), np.float32))
-    pixels = truth.contact & np.isfinite(truth.depth_m)
-    depth = truth.depth_m[pixels][:, None]
-    rays = ray_table(rig.proximity.intrinsics)[pixels]
-    return PointCloud(np.concatenate([rays * depth, depth], axis=1).astype(np.float32))
 
 
 def true_contact(frame: SensorFrame, rig: Rig) -> tuple[Float32Array, float]:

@@ -1,5 +1,1 @@
 """Recordings as ROS 2 bags in MCAP, which Foxglove, RViz and rosbag2 open, too."""
-
-from .writer import RecordingStatus, SessionWriter
-
-__all__ = ["RecordingStatus", "SessionWriter"]

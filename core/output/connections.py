@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 #: The address that only programs on this computer reach.
 LOOPBACK: Final = "127.0.0.1"
 FOXGLOVE_PORT: Final = 8765
+#: Most clients of Foxglove at a time, unless told otherwise.
+MAX_CLIENTS: Final = 16
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Connections:
     port: int = FOXGLOVE_PORT
     domain: int = 0
     namespace: str = "tactune"
-    max_clients: int = 16
+    max_clients: int = MAX_CLIENTS
     origins: tuple[str, ...] = ()
 
     @property

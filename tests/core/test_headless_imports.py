@@ -73,3 +73,20 @@ except Exception as error:
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
     first, second = done.stdout.splitlines()
     assert first == "Foxglove" and "ROS 2 needs cyclonedds" in second
+
+
+def test_a_plain_run_loads_and_unpacks_little():
+    """What nobody asked for costs seconds at each start: metrics, recordings, calibration, the rest of the scene."""
+    program = """
+import sys
+from tactune.app.cli.main import main
+from tactune.core.sources.simulator import source
+unpack, unpacked = source._PackedStates._next, []
+source._PackedStates._next = lambda states: unpacked.append(1) or unpack(states)
+sys.argv = ["tactune", "run", "--source", "sim", "--frames", "2"]
+main()
+heavy = ("scipy.spatial", "scipy.optimize", "scipy.special", "rosbags", "mcap", "PIL")
+print([name for name in heavy if name in sys.modules], len(unpacked))
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[] 2"

@@ -10,7 +10,7 @@ from pathlib import Path
 from drifted import Drift, DriftedSimulator
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.model.frames import SensorFrame
-from tactune.core.output import SessionWriter
+from tactune.core.output.writer import SessionWriter
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 

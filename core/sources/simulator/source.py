@@ -1,22 +1,26 @@
 """The simulator as a source of frames, and its solved scenes on disk: in the user's cache, the default in the package.
 
-A file of a scene holds the differences between successive states, compressed. Its name contains a hash of everything
-that the images depend on, but not the errors of the cameras, which are added later.
+A file of a scene holds the differences between successive states, compressed, and is unpacked as far as frames are
+asked for. Its name contains a hash of everything that the images depend on, but not the errors of the cameras, which
+are added later.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from itertools import pairwise
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from threading import Lock
+from typing import IO, Any, Final
 from weakref import WeakValueDictionary
+from zipfile import ZipFile
 
 import cv2
 import numpy as np
@@ -24,9 +28,9 @@ from platformdirs import user_cache_dir
 from pydantic import TypeAdapter
 
 from ...errors import ExportError
+from ...model.clouds import truth_cloud
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
-from ...model.metrics import truth_cloud
 from ..base import Progress, SeekableSource
 from .membrane import Membrane
 from .mesh import MembraneDesign
@@ -47,6 +51,7 @@ SHIPPED: Final = Path(__file__).with_name("solved")
 
 _IMAGES: Final = tuple(field.name for field in fields(CleanState))
 _FACTS = TypeAdapter(list[PressFacts])
+_DIGEST_BYTES: Final = 32
 
 
 @dataclass(frozen=True)
@@ -200,27 +205,62 @@ def find_solved(path: Path, count: int) -> SolvedScene | None:
     return load_scene(SHIPPED / path.name, count) or load_scene(path, count)
 
 
+class _PackedStates(Sequence[CleanState]):
+    """The states of a file, unpacked up to the last one that was asked for; a run of few frames needs few."""
+
+    def __init__(self, archive: ZipFile, count: int) -> None:
+        self._count, self._lock = count, Lock()
+        self._unpacked: list[CleanState] = []
+        self._streams: dict[str, tuple[IO[bytes], tuple[int, ...], np.dtype[Any]]] = {}
+        for name in _IMAGES:
+            stream = archive.open(f"{name}.npy")
+            np.lib.format.read_magic(stream)
+            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+            self._streams[name] = stream, shape[1:], dtype
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        number = range(self._count)[index]
+        with self._lock:
+            while len(self._unpacked) <= number:
+                self._unpacked.append(self._next())
+        return self._unpacked[number]
+
+    def _next(self) -> CleanState:
+        images: dict[str, Any] = {}
+        for name, (stream, shape, dtype) in self._streams.items():
+            image = np.frombuffer(bytearray(stream.read(math.prod(shape) * dtype.itemsize)), dtype).reshape(shape)
+            if self._unpacked:
+                image += getattr(self._unpacked[-1], name)
+            images[name] = image
+        return CleanState(**images)
+
+
 def load_scene(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file, or None where it is missing or damaged."""
-    images: dict[str, Any] = {}
     try:
-        with path.open("rb") as file, np.load(file) as archive:
-            facts = _FACTS.validate_json(archive["facts"].tobytes())
-            for name in _IMAGES:
-                images[name] = archive[name]
-                for before, state in pairwise(images[name]):
-                    np.add(state, before, out=state)  # in place: numpy's cumsum takes two seconds longer
-        states = [CleanState(**{name: images[name][n] for name in _IMAGES}) for n in range(count)]
+        packed = path.read_bytes()
+        if hashlib.sha256(packed[:-_DIGEST_BYTES]).digest() != packed[-_DIGEST_BYTES:]:
+            return None
+        archive = ZipFile(BytesIO(packed))
+        facts = _FACTS.validate_json(np.load(BytesIO(archive.read("facts.npy"))).tobytes())
+        states = _PackedStates(archive, count)
     except Exception:  # a damaged file may raise anything
         return None
     return SolvedScene(states, facts) if len(facts) == count else None
 
 
 def save_scene(path: Path, scene: SolvedScene) -> None:
-    """Write a scene to a file, whole or not at all."""
+    """Write a scene to a file, whole or not at all: an .npz whose comment is the hash of all before it."""
     arrays: dict[str, Any] = {"facts": np.frombuffer(_FACTS.dump_json(list(scene.facts)), np.uint8)}
     for name in _IMAGES:
         arrays[name] = np.stack([getattr(state, name) for state in scene.states])
         arrays[name][1:] -= arrays[name][:-1].copy()
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    packed = BytesIO()
+    np.savez_compressed(packed, **arrays)
+    # the last two bytes of a zip file are the length of its comment
+    content = packed.getvalue()[:-2] + _DIGEST_BYTES.to_bytes(2, "little")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content + hashlib.sha256(content).digest())

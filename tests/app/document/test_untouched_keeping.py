@@ -10,7 +10,7 @@ from fakes import tiny_frame, tiny_rig
 from hands import press
 from tactune.app.document.document import Document, UntouchedStore
 from tactune.core.errors import PresetError
-from tactune.core.output import SessionWriter
+from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import load_untouched
 from tactune.core.sources.presets import load_preset

@@ -5,7 +5,7 @@ import pytest
 
 from rigs import save_rig
 from simulated_clicks import ClickNoise, make_clicks
-from tactune.core.calibration import write_points
+from tactune.core.calibration.points import write_points
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.presets import load_preset

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from simulated_clicks import judged_places, make_clicks
-from tactune.core.calibration import calibrate
+from tactune.core.calibration.calibrate import calibrate
 from tactune.core.calibration.check import check_alignment
 from tactune.core.calibration.snapshots import content_hash, depth_under, take_snapshot
 from tactune.core.calibration.texture import match_texture

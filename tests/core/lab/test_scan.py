@@ -18,8 +18,8 @@ from tactune.core.lab.scan import (
     surface_points,
     transformed,
 )
-from tactune.core.model.clouds import pixel_areas_m2
-from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m, truth_cloud
+from tactune.core.model.clouds import pixel_areas_m2, truth_cloud
+from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 

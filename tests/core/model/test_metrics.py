@@ -9,16 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tactune.core.contact.pipeline import ContactPatch
+from tactune.core.model.clouds import truth_cloud
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.model.metrics import (
-    PixelScores,
-    TruthTree,
-    compare_with_truth,
-    pixel_scores,
-    symmetric_rmse_m,
-    truth_cloud,
-)
+from tactune.core.model.metrics import PixelScores, TruthTree, compare_with_truth, pixel_scores, symmetric_rmse_m
 from tactune.core.model.patch import AlignedDepth, Provenance
 
 LENS = Intrinsics(width=6, height=4, fx=5.0, fy=6.0, cx=2.5, cy=1.5)

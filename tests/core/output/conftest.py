@@ -7,7 +7,7 @@ import pytest
 import capture_sources
 import folder_scenes
 from tactune.core import ContactPipeline, load_preset, open_source
-from tactune.core.output import SessionWriter
+from tactune.core.output.writer import SessionWriter
 
 
 @pytest.fixture(scope="session")

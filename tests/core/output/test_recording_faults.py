@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import AdviceError, SourceError
-from tactune.core.output import SessionWriter, bag
+from tactune.core.output import bag
+from tactune.core.output.writer import SessionWriter
 from tactune.core.sources.mcap.messages import Topic
 from tactune.core.sources.mcap.reader import MAGIC, McapBag
 from tactune.core.sources.mcap.source import McapSource

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tactune.core import load_preset
 from tactune.core.errors import ExportError, FrameError, PresetError
 from tactune.core.model.frames import GroundTruth
-from tactune.core.output import SessionWriter
+from tactune.core.output.writer import SessionWriter
 from tactune.core.sources.mcap.source import McapSource
 
 SIZES = st.tuples(st.integers(1, 40), st.integers(1, 24))

@@ -12,7 +12,7 @@ from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.loading import untouched_bytes
-from tactune.core.output import SessionWriter
+from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import (

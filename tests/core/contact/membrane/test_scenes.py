@@ -10,8 +10,9 @@ from rigs import one_place_rig
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.membrane.bias import FIRM_M2
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.clouds import truth_cloud
 from tactune.core.model.frames import SensorFrame
-from tactune.core.model.metrics import symmetric_rmse_m, truth_cloud
+from tactune.core.model.metrics import symmetric_rmse_m
 from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
