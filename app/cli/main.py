@@ -37,10 +37,40 @@ GROUPS = {
     "Robot": ("serve", "track", "check", "warmup", "preset"),
     "Lab": ("tune", "lab"),
 }
+#: What a message about missing or wrong arguments shows.
+EXAMPLES = {
+    "run": "tactune run --source sim",
+    "calibrate": "tactune calibrate --points points.csv --rig folder:scene --out cup.json",
+    "record": "tactune record --source cameras: --out press.mcap",
+    "convert": "tactune convert press.mcap images",
+    "serve": "tactune serve --source cameras: --ros2",
+    "track": "tactune track --source 'sim:cup?press=medium' --mesh cup.stl --out poses.csv",
+    "check": "tactune check --source cameras: --preset cup.json",
+    "tune": "tactune tune --source 'sim:cup?press=medium' --out best.json",
+    "preset new": "tactune preset new --rig folder:scene --out cup.json",
+    "preset suggest": "tactune preset suggest --source sim --out cup.json",
+    "preset findings": "tactune preset findings --source sim",
+    "preset capture-untouched": "tactune preset capture-untouched --source cameras: --preset cup.json",
+    "preset measure-rig": "tactune preset measure-rig --source cameras: --preset cup.json",
+    "preset create-rig": "tactune preset create-rig images --proximity L515 --tactile D405",
+}
+#: A wrong option or argument; click, which raises it, is typer's own or a package, depending on typer's version.
+_UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
 
 class _Commands(TyperGroup):
     """The command ``tactune``, whose help is one screen: commands in groups, no summary cut."""
+
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
+        """Run a command; what is missing or wrong in its arguments is one sentence with an example."""
+        try:
+            return super().invoke(ctx)
+        except _UsageError as error:
+            name = "" if error.ctx is None else error.ctx.command_path.removeprefix("tactune ")
+            if name not in EXAMPLES:
+                raise
+            said = error.format_message().rstrip(".").removeprefix("Invalid value: ").replace("\n", " ")
+            raise TactuneError(f"{name}: {said[0].lower() + said[1:]}; for example: {EXAMPLES[name]}") from error
 
     def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
         """Write usage, the groups of commands, and the options in a line."""

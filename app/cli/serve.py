@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import counted
+from ...core.output.connections import MAX_CLIENTS
 from .common import (
     SOURCE,
     CliProgress,
@@ -48,7 +49,9 @@ def serve(
     topics: TopicsOption = None,
     preset: PresetOption = None,
     frames: FrameCount = None,
-    foxglove: Annotated[bool, typer.Option("--foxglove", help="Listen for the Foxglove app and its clients.")] = False,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Listen for the Foxglove app and its clients; default without --ros2.")
+    ] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Publish ROS 2 topics by DDS; needs no ROS.")] = False,
     host: Annotated[
         str,
@@ -57,7 +60,9 @@ def serve(
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="PORT", help="Port of --foxglove; 0: any.")] = 8765,
-    clients: Annotated[int, typer.Option(min=1, metavar="N", help="Most clients of --foxglove at a time.")] = 16,
+    clients: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Most clients of --foxglove at a time.")
+    ] = MAX_CLIENTS,
     origins: Annotated[
         list[str] | None,
         typer.Option(
@@ -91,8 +96,7 @@ def serve(
         say(f"wrote {layout}; in Foxglove: Layouts, Import from file")
         if not (foxglove or ros2):
             return
-    if not (foxglove or ros2):
-        raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
+    foxglove |= not ros2
     source = with_topics(source, topics)
     chosen, origin = chosen_preset(preset, source)
     connections = Connections(foxglove, ros2, host, port, domain, namespace, clients, tuple(origins or ()))

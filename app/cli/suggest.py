@@ -129,6 +129,8 @@ def findings(
 
 def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
     first = 0 if last is None else max(last - _RECENT + 1, 0)
+    if last is not None and source.length is not None and last >= source.length:
+        raise AdviceError(f"{source.name}: there is no frame {last}; its frames run from 0 to {source.length - 1}")
     if first:
         source.seek(first)
     frames = tuple(islice(source, _RECENT if last is None else last + 1 - first))

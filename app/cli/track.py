@@ -70,7 +70,7 @@ def track(
     from ...core.estimation.pose import PoseTracker, pose_error, pose_record
 
     if out is None and not truth:
-        raise typer.BadParameter("give --out FILE for the poses, or --truth for a comparison")
+        raise typer.BadParameter("--out FILE is missing, for the poses, or --truth for a comparison")
     if out is not None and out.suffix.lower() not in SUFFIXES:
         raise ExportError(f"{out} has the suffix {out.suffix!r}; choose one of {', '.join(SUFFIXES)}")
     chosen, origin = chosen_preset(preset, source)

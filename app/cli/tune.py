@@ -106,18 +106,18 @@ def tune(
             progress.frames(0, None, f"reading {name}")
             return open_source(name, progress.preparing)
 
+        plan = make_plan(
+            base,
+            axes,
+            sources,
+            frames=_parse_frames(frames),
+            objectives=[word.strip() for word in (objective or "").split(",") if word.strip()],
+            trials=trials,
+            opener=read,
+        )
         if not scheduler:
             warm_up_if_needed(progress.preparing)
         with cluster_workers(scheduler) if scheduler else local_workers(jobs or available_threads()) as workers:
-            plan = make_plan(
-                base,
-                axes,
-                sources,
-                frames=_parse_frames(frames),
-                objectives=[word.strip() for word in (objective or "").split(",") if word.strip()],
-                trials=trials,
-                opener=read,
-            )
             opened = Study(plan, kept)
             _search(opened, workers, progress, as_json)
     found, front = opened.results()

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..errors import MissingExtraError, PublishError, foreign
 from ..model.files import atomic_path
 from ..model.loading import parse_json
+from .connections import MAX_CLIENTS
 from .messages import definition
 from .publisher import LiveMessage, SinkStatus
 
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
 #: Names of the protocol in its newer and its older clients; the messages used here are equal.
 PROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-#: Clients at one time, unless told otherwise.
-MAX_CLIENTS: Final = 16
 #: A message of a client is a list of channels.
 _MAX_RECEIVED: Final = 2**16
 #: A client that takes longer to answer is gone, and one that takes longer to say goodbye is not waited for, seconds.

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...contact.pixels import colors_at
 from ...errors import SourceError
 from ...model.arrays import Uint8Array, Uint16Array
 from ...model.clouds import deproject, valid_depth
@@ -89,6 +88,8 @@ class Calibration:
         rig = Rig(proximity=self.depth, tactile=self.depth, proximity_color=self.color_camera)
         aligned = np.zeros((*depth.shape, 3), np.uint8)
         points = deproject(depth, self.depth, pixels)
+        from ...contact.pixels import colors_at  # not above: it loads the compiler, recordings do without
+
         aligned.reshape(-1, 3)[pixels], _ = colors_at(points, pixels, color, rig)
         return aligned
 
