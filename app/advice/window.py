@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QGridLayout, QLabel, QVB
 from ...core.errors import PresetError, TactuneError, as_sentence
 from ...core.preset import Preset
 from ...core.sources.base import part_of
-from ...core.tuning.advice.proposal import Evidence, Example, Proposal
+from ...core.tuning.advice.proposal import Evidence, Proposal
 from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import NoteLabel, ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
@@ -27,7 +27,6 @@ from ..context import SOURCE, Context
 from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
 from ..worker.results import Result, SourceInfo
-from .examples import ExampleHistory, ExampleKeeper, ExamplesWindow
 
 _TITLES = dict(SECTIONS)
 
@@ -100,23 +99,23 @@ _NO_FRAME: Final = "There is no frame to measure yet: open a source first."
 
 
 def find_suggestions(
-    section: str, result: Result, preset: Preset, home: Path | None, examples: tuple[Example, ...], progress: Progress
+    section: str, result: Result, preset: Preset, home: Path | None, progress: Progress
 ) -> AllProposals:
     """Make the proposals of one section or of all; takes long."""
     untouched = None
     with suppress(TactuneError):  # it cannot be read; or the job was cancelled, which is raised again below
         untouched = result.source.find_untouched(preset, home, part_of(progress, 0, 2)).frame
-    evidence = Evidence(preset, result.source.rig, (result.frame,), untouched, examples)
+    evidence = Evidence(preset, result.source.rig, (result.frame,), untouched)
     return suggest_all(evidence, part_of(progress, 1, 2), None if section == ALL else (section,))
 
 
 class SuggestWindow(QDialog):
     """Shows suggestions, compares them with the present preset in the views, and applies them as one undo step."""
 
-    def __init__(self, context: Context, history: ExampleHistory, open_examples: Callable[[], None]) -> None:
+    def __init__(self, context: Context) -> None:
         super().__init__(context.window)
         self.setWindowTitle("Suggestions – Tactune")
-        self._context, self._document, self._history = context, context.document, history
+        self._context, self._document = context, context.document
         self._section = ALL
         self._shown: Side | None = None
         self._job = Job(self)
@@ -125,8 +124,7 @@ class SuggestWindow(QDialog):
         self.sentence = wrapped_label()
         self.sentence.hide()
         self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
-        self.again = push_button("&Measure again", "Make new suggestions from the present frame, preset and examples")
-        self.examples = push_button("&Examples…", "Mark frames with and without contact, for better suggestions")
+        self.again = push_button("&Measure again", "Make new suggestions from the present frame and preset")
         self.compare = QCheckBox("&Compare")
         self.compare.setToolTip("Compare the present preset with the suggested one in the views")
         self.apply = push_button(
@@ -136,26 +134,25 @@ class SuggestWindow(QDialog):
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
         self.leave = push_button("&Close", "Close this window; the preset stays as it is (Esc)")
         self._lay_out()
-        self._connect(open_examples)
+        self._connect()
 
     def _lay_out(self) -> None:
         self._content = QWidget()
         self._column = vbox(STRETCH, within=self._content, margins=0)
         scroll = scrolling(self._content)
         measuring = hbox((self.progress, 1), self.cancel)
-        tools = hbox(self.again, self.examples, STRETCH)
+        tools = hbox(self.again, STRETCH)
         row = hbox(self.compare, self.undo, STRETCH, self.apply, self.leave)
         vbox(measuring, self.sentence, (scroll, 1), tools, row, within=self)
         self.resize(500, 640)
 
-    def _connect(self, open_examples: Callable[[], None]) -> None:
+    def _connect(self) -> None:
         self._job.progress.connect(self._show_progress)
         self._job.done.connect(self._show_found)
         self._job.failed.connect(self._show_failure)
         self._job.busyChanged.connect(self._show_busy)
         self.cancel.clicked.connect(lambda: self._stop("Cancelled; nothing was changed."))
         self.again.clicked.connect(lambda: self.ask(self._section))
-        self.examples.clicked.connect(open_examples)
         self.compare.toggled.connect(self._show_comparison)
         self.apply.clicked.connect(self._apply)
         self.undo.clicked.connect(self._document.undo_stack.undo)
@@ -170,11 +167,11 @@ class SuggestWindow(QDialog):
         if result is None:
             self._say(_NO_FRAME)
             return
-        preset, home, examples = document.preset, document.untouched_home, self._history.examples
+        preset, home = document.preset, document.untouched_home
         self._section = section
         self._job.cancel()
         self._clear()
-        self._job.start(lambda progress: find_suggestions(section, result, preset, home, examples, progress))
+        self._job.start(lambda progress: find_suggestions(section, result, preset, home, progress))
         self._show_busy(True)
         self._show_progress(0.0, "Gathering evidence")
 
@@ -323,20 +320,13 @@ def _refusal(section: str, sentence: str) -> QWidget:
 
 
 class SuggestControl(QObject):
-    """Opens at most one window with suggestions and one with examples, and keeps the examples of each rig."""
+    """Opens at most one window with suggestions."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self.examples = ExampleHistory(self)
-        self._keeper = ExampleKeeper(self.examples, context.data_folder / "examples", self)
-        self._keeper.failed.connect(
-            lambda sentence: context.messages.show_message("examples", Severity.WARNING, sentence)
-        )
         self.window: SuggestWindow | None = None
-        self.examples_window: ExamplesWindow | None = None
         context.worker.opened.connect(self._source_opened)
-        self.examples.changed.connect(lambda _: self._outdate("The examples have changed"))
 
     def open(self, section: str) -> None:
         context = self._context
@@ -344,30 +334,17 @@ class SuggestControl(QObject):
             context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME, subject=SOURCE)
             return
         if self.window is None:
-            self.window = SuggestWindow(context, self.examples, self.open_examples)
+            self.window = SuggestWindow(context)
             QShortcut(QKeySequence.StandardKey.Save, self.window).activated.connect(context.saveRequested)
             corner = context.window.mapToGlobal(context.window.rect().topLeft())
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
         bring_up(self.window)
         self.window.ask(section)
 
-    def open_examples(self) -> None:
-        if self.examples_window is None:
-            self.examples_window = ExamplesWindow(self._context, self.examples)
-        bring_up(self.examples_window)
-
     def _source_opened(self, info: SourceInfo) -> None:
-        self._keeper.switch_to(info.rig)
-        self._outdate("Another source was opened")
-
-    def _outdate(self, reason: str) -> None:
         if self.window is not None:
-            self.window.outdated(reason)
+            self.window.outdated("Another source was opened")
 
     def close(self) -> None:
         if self.window is not None:
             self.window.close_down()
-        if self.examples_window is not None:
-            self.examples_window.reject()
-        self.examples.close()
-        self._keeper.close()

@@ -75,7 +75,6 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("search", "Searc&h", "Ctrl+Shift+P", "Find every action and parameter by name"),
         _LINE,
         Row("suggest_all", "&Suggest all…", "Ctrl+J", "Propose values for all sections, each with its evidence"),
-        Row("examples", "&Examples of contact…", "Ctrl+L", "Mark untouched frames and contact, for suggestions"),
         _LINE,
         Row("compare", "&Compare presets", "Ctrl+B", "Saved and present preset, or any two; again: end", checked=False),
         _LINE,

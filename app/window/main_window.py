@@ -267,7 +267,6 @@ class MainWindow(QMainWindow):
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
         actions.capture_untouched.triggered.connect(self.untouched.open)
         actions.suggest_all.triggered.connect(lambda: self.suggest.open(ALL))
-        actions.examples.triggered.connect(self.suggest.open_examples)
         actions.recordings_folder.triggered.connect(
             lambda: self.dialogs.open_folder("recordings", "Folder for recordings", self.recording.use_folder)
         )

@@ -42,7 +42,6 @@ ACTIONS = (
     "camera_settings",
     "capture_untouched",
     "suggest_all",
-    "examples",
     "shortcuts",
 )
 #: The main window in each mode.

@@ -57,7 +57,6 @@ from tactune.core.sources.lens_files import read_lenses
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
 from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
-from tactune.core.tuning.advice.proposal import Example
 from tactune.core.tuning.measure import Measured, Workers
 from tactune.core.tuning.plan import Axis, Clip, Plan
 from tactune.core.tuning.study import Study
@@ -423,7 +422,6 @@ KINDS: dict[str, Kind] = {
         lambda f, n: table.save_cells(table_plan(f), SCENE, 0, [CELL]),
         lambda f: table.load_cells(table_plan(f), SCENE, 0) is not None,
     ),
-    "example": Kind(lambda f, n: Example(FRAMES[n]).save(f / "a.npz"), lambda f: Example.load(f / "a.npz")),
     "simulator's cache": Kind(solved_scene, lambda f: load_scene(f / "cup.npz", 1) is not None, 200),
     "search": Kind(search, lambda f: search(f, 0), 600, grows=True, keeps_state=True),
     "unsaved preset": Kind(autosave, lambda f: len(unsaved_work(f)) == len(list(f.glob("unsaved-*.json")))),

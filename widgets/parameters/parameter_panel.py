@@ -221,7 +221,7 @@ class ParameterPanel(QScrollArea):
             form.add_line(_bar((*self.eyedroppers.values(), self.show_mask)), "Eyedropper")
             form.add_line(self.masked_share, column=1)
         if suggestible:
-            evidence = "the newest frames, the untouched frame and the examples"
+            evidence = "the newest frames and the untouched frame"
             tip = f"Measure {title.lower()} from {evidence}, and propose values"
             section.add_header_widget(self._make_suggest(name, "Suggest", tip))
         tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"

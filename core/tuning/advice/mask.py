@@ -76,7 +76,7 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
 def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
     """Propose the mask that covers the prints, and return its pixels; without untouched frame, of one colour."""
     preset, rig = evidence.preset, evidence.rig
-    free = evidence.untouched or next((each.frame for each in evidence.examples if each.contact is None), None)
+    free = evidence.untouched
     colours = _colours(free or evidence.frame, preset, rig, pressed=free is None)
     if free is None and not _one_colour(colours.core):
         raise AdviceError("mask: in this frame prints can't be told from contact; capture an untouched frame")

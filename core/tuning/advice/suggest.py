@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +18,7 @@ from ...model.clouds import valid_depth
 from ...preset import CONTACT_TESTS, Preset
 from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress, part_of
-from .fields import suggest_dent, suggest_fields
+from .fields import suggest_dent, suggest_tolerance
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -164,9 +163,7 @@ _SUGGEST: Final[dict[str, Callable[[Evidence, Progress], Proposal]]] = {
     "mask": suggest_mask,
     "contact_test": suggest_contact_test,
     "alignment": suggest_alignment,
-    "tolerance": partial(suggest_fields, "tolerance"),
-    "outliers": partial(suggest_fields, "outliers"),
-    "membrane": partial(suggest_fields, "membrane"),
+    "tolerance": suggest_tolerance,
     "dent": suggest_dent,
 }
 #: Sections that a rig with one camera does not need.
@@ -194,13 +191,13 @@ def suggest_all(
     Parameters
     ----------
     evidence : Evidence
-        The preset, its rig, one or more frames (uint16 depth images of the rig's size in raw counts), and if there are
-        any, the untouched frame and examples of contact.
+        The preset, its rig, one or more frames (uint16 depth images of the rig's size in raw counts), and if there is
+        one, the untouched frame.
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
     sections : collection of str, optional
-        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"``, ``"outliers"``, ``"membrane"`` and
-        ``"dent"``; default: all that the contact test reads, which may itself be proposed.
+        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"`` and ``"dent"``; default:
+        all that the contact test reads, which may itself be proposed.
 
     Returns
     -------

@@ -3,7 +3,7 @@
 import time
 from threading import Event
 
-from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
 from hands import CONTROL, LEFT, drag_slider, show_source, text_of, tolerance_slider
@@ -133,39 +133,3 @@ def test_measuring_can_be_cancelled(main, qtbot, monkeypatch):
     monkeypatch.undo()
     QTest.mouseClick(window.again, LEFT)
     qtbot.waitUntil(lambda: not window.busy and len(window.cards) == 1)
-
-
-def test_contact_that_is_marked_by_a_rectangle_is_kept_and_counts(main, qtbot, make_window):
-    QTest.keyClick(main, Qt.Key.Key_L, CONTROL)
-    examples = main.suggest.examples_window
-    QTest.mouseClick(examples.untouched, LEFT)
-    assert examples.marked.rectangle is None
-    QTest.mouseClick(examples.touched, LEFT)  # the same frame: the mark is replaced
-    assert len(main.suggest.examples.examples) == 1
-    before = examples.marked.rectangle
-    viewport = examples.image.view.viewport()
-    left, top, width, height = before
-    corner, middle = (
-        examples.image.view.mapFromScene(examples.image.box.mapViewToScene(QPointF(*at)))
-        for at in ((left - 0.5, top - 0.5), (left + width / 2 - 0.5, top + height / 2 - 0.5))
-    )
-    QTest.mousePress(viewport, LEFT, pos=corner)
-    for share in (0.2, 0.4, 0.6):
-        QTest.mouseMove(viewport, corner + (middle - corner) * share)
-        qtbot.wait(20)
-    QTest.mouseRelease(viewport, LEFT, pos=corner + (middle - corner) * 0.6)
-    after = examples.marked.rectangle
-    assert after[0] > left and after[2] < width
-    QTest.mouseClick(examples.undo, LEFT)
-    assert examples.marked.rectangle == before
-    QTest.mouseClick(examples.redo, LEFT)
-    assert examples.marked.rectangle == after
-    window = ask(qtbot, main, "tolerance")
-    assert "1 frame with marked contact" in window.cards[0].evidence.text()
-
-    main.close_without_asking()
-    qtbot.waitUntil(main.worker.isFinished)
-    other = make_window()
-    show_source(qtbot, other, PrintedSource(), 6)
-    qtbot.waitUntil(lambda: len(other.suggest.examples.examples) == 1)
-    assert other.suggest.examples.state[0].rectangle == after

@@ -7,7 +7,7 @@ import pytest
 from tactune.core.errors import AdviceError
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.registry import open_source
-from tactune.core.tuning.advice.proposal import Evidence, Example
+from tactune.core.tuning.advice.proposal import Evidence
 from tactune.core.tuning.advice.suggest import suggest_all
 
 
@@ -23,10 +23,9 @@ def scene(name):
 def evidence():
     """Make evidence from a preset and a simulated scene."""
 
-    def make(preset, name="sim:cup?press=medium", *, untouched=True, painted=False):
+    def make(preset, name="sim:cup?press=medium", *, untouched=True):
         rig, frames, free = scene(name)
-        examples = (Example(frames[-1], frames[-1].truth.contact),) if painted else ()
-        return Evidence(preset, rig, frames, free if untouched else None, examples)
+        return Evidence(preset, rig, frames, free if untouched else None)
 
     return make
 

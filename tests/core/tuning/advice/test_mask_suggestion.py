@@ -10,7 +10,6 @@ import pytest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError
 from tactune.core.sources.presets import load_preset
-from tactune.core.tuning.advice.proposal import Example
 
 SHIPPED = load_preset("simulator")
 NO_MASK = SHIPPED.with_values({"mask.enabled": False})
@@ -65,9 +64,3 @@ def test_a_membrane_without_prints_is_told(evidence, suggest):
     far = np.where(shown.untouched.proximity_depth > 0, 2400, 0).astype(np.uint16)
     with pytest.raises(AdviceError, match="no print reflects infrared"):
         suggest("mask", replace(shown, untouched=replace(shown.untouched, proximity_depth=far)))
-
-
-def test_an_untouched_example_is_an_untouched_frame(evidence, suggest):
-    shown = evidence(NO_MASK)
-    example = replace(shown, untouched=None, examples=(Example(shown.untouched),))
-    assert suggest("mask", example).changes == suggest("mask", shown).changes

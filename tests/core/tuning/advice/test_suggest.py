@@ -1,5 +1,6 @@
 """Suggest all: it mends what was spoiled, says what it can't know, and computes sections one after the other."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError, FrameError
 from tactune.core.model.metrics import compare_with_truth
-from tactune.core.preset import Preset
+from tactune.core.preset import CameraNoise, Preset, RigNoise, now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.proposal import Evidence
@@ -52,7 +53,7 @@ def test_a_spoiled_preset_is_brought_back(evidence):
 def test_nothing_is_changed_in_the_shipped_preset(evidence):
     proposals = suggest_all(evidence(SHIPPED))
     assert [part.section for part in proposals.parts] == ["mask", "contact_test", "alignment"]
-    assert set(proposals.refusals) == {"membrane"}
+    assert not proposals.refusals
     assert not proposals.merged.changes
     assert all(part.evidence for part in proposals.parts)
 
@@ -89,7 +90,7 @@ def test_the_real_pair_is_centred(shared_data):
     patch = ContactPipeline(mended, rig).process(frame)
     assert patch.mask.sum() > 0.8 * np.isfinite(patch.relative_difference).sum()
     # what one frame without a membrane can't tell
-    assert set(proposals.refusals) == {"mask", "tolerance", "outliers"}
+    assert set(proposals.refusals) == {"mask", "tolerance"}
 
 
 def test_an_unknown_section_and_a_frame_of_another_rig_are_refused(evidence, make_rig):
@@ -106,7 +107,7 @@ def test_progress_rises_and_may_cancel(evidence):
         assert words
         told.append(share)
 
-    suggest_all(evidence(TOLERANCE, painted=True), report, SECTIONS)
+    suggest_all(evidence(TOLERANCE), report, SECTIONS)
     assert told == sorted(told)
     assert told[0] >= 0 and told[-1] == 1
 
@@ -114,4 +115,15 @@ def test_progress_rises_and_may_cancel(evidence):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        suggest_all(evidence(TOLERANCE, painted=True), cancel)
+        suggest_all(evidence(TOLERANCE), cancel)
+
+
+def test_the_tolerance_follows_from_the_noise_of_the_rig(evidence, suggest):
+    camera = CameraNoise(white_m=0.0015, correlated_m=0.0, length_px=0.0, changing_share=1.0, distance_m=0.285)
+    noise = RigNoise(
+        proximity=camera, tactile=camera, bias_m=0.0, bias_sigma_m=0.001, bias_from="prints", measured=now(), frames=60
+    )
+    proposal = suggest("tolerance", evidence(TOLERANCE.model_copy(update={"noise": noise})))
+    assert proposal.apply(TOLERANCE).tolerance.t == pytest.approx(2 * math.hypot(1.5, 1.5) / 285, rel=0.05)
+    with pytest.raises(AdviceError, match="noise"):
+        suggest("tolerance", evidence(TOLERANCE))
