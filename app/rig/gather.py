@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
-from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QWidget
+from PyQt6.QtCore import QTimer, pyqtSignal
+from PyQt6.QtWidgets import QPushButton, QWidget
 
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
 from ...core.rig.untouched import frames_to_average
 from ...core.sources.base import part_of
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
-from ...widgets.basics.layouts import hbox
 from ..context import Context
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
@@ -49,7 +48,6 @@ class Gather(QWidget):
         self._context, self._document = context, context.document
         self.start = start
         self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
-        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
         self.sentence = wrapped_label(selectable=True)
         self.progress = ProgressBar()
         policy = self.progress.sizePolicy()
@@ -74,9 +72,6 @@ class Gather(QWidget):
         self._takingFailed.connect(self._give_up)
         start.clicked.connect(self.begin)
         self.cancel.clicked.connect(self.stop)
-        self.undo.clicked.connect(self._document.undo_stack.undo)
-        self.undo.setEnabled(self._document.undo_stack.canUndo())
-        self._document.undo_stack.canUndoChanged.connect(self.undo.setEnabled)
         context.worker.opened.connect(self._source_opened)
 
     # What a panel says of itself
@@ -221,8 +216,6 @@ class Gather(QWidget):
         self.show_found(found)
         if changes := self.changes():
             self._document.edit_many(changes)
-        if self.undo.isVisible():
-            self.undo.setFocus(Qt.FocusReason.OtherFocusReason)
         self.ended.emit(True)
 
     def _fail(self, sentence: str) -> None:
@@ -235,9 +228,6 @@ class Gather(QWidget):
         self.start.setEnabled(not self.busy)
         self.cancel.setEnabled(self.busy)
         self.progress.setVisible(self.busy)
-
-    def row(self) -> QHBoxLayout:
-        return hbox(self.start, self.cancel, self.undo, (self.progress, 1))
 
 
 def _simulated(info: SourceInfo, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:

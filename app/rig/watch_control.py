@@ -18,7 +18,7 @@ from ...widgets.basics.messages import Offer, Severity
 from ..context import SOURCE, Context
 from ..worker.jobs import Job
 from .drift_window import DriftWindow
-from .untouched_window import UntouchedKeeper
+from .untouched import UntouchedKeeper
 
 _KEY = "watch"
 _NO_FRAME = "There is no frame to check yet: open a source first."

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from PyQt6.QtCore import QTimer
+from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
-from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QStackedLayout, QWidget
+from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QScrollArea, QStackedLayout, QWidget
 
 from ...core.errors import counted
 from ...core.preset import Preset
@@ -16,9 +16,9 @@ from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..context import Context
-from ..rig.gather import Gather
-from ..rig.noise_window import NoisePanel
-from ..rig.untouched_window import UntouchedPanel
+from ..rig.gather import OTHER_SOURCE, Gather
+from ..rig.noise import NoiseStep
+from ..rig.untouched import UntouchedStep
 from ..worker.results import SourceInfo
 from .steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
 
@@ -134,6 +134,7 @@ class SetUpPanel(QWidget):
         self._info: SourceInfo | None = None
         self._running = self._waiting = False
         self._again: set[StepRow] = set()
+        self._chosen: StepRow | None = None
         document = context.document
         bias = BiasStep(context)
         self.source = StepRow(
@@ -145,10 +146,10 @@ class SetUpPanel(QWidget):
         self.untouched = StepRow(
             "Untouched frame",
             "Nothing may touch the membrane.",
-            UntouchedPanel(context),
+            UntouchedStep(context),
             _captured,
         )
-        self.noise = StepRow("Noise", "Everything at rest: 60 frames.", NoisePanel(context), _measured)
+        self.noise = StepRow("Noise", "Everything at rest: 60 frames.", NoiseStep(context), _measured)
         self.alignment = StepRow(
             "Alignment",
             "Points found on the membrane's texture.",
@@ -182,6 +183,18 @@ class SetUpPanel(QWidget):
         document.presetChanged.connect(lambda _: self._show())
         self._show()
 
+    def choose(self, row: StepRow) -> None:
+        """Come to a step: its button has the focus, so that Enter begins it."""
+        self._chosen = row
+        above = self.parentWidget()
+        while above is not None and not isinstance(above, QScrollArea):
+            above = above.parentWidget()
+        if above is not None:
+            above.ensureWidgetVisible(row)
+        if row.work is not None:
+            row.work.start.setFocus(Qt.FocusReason.ShortcutFocusReason)
+        self._show()
+
     @property
     def running(self) -> bool:
         return self._running
@@ -193,7 +206,7 @@ class SetUpPanel(QWidget):
             return
         if self._next() is None:
             self._again = {row for row in self.rows if row.work is not None}
-        self._running = True
+        self._running, self._chosen = True, None
         self._advance()
 
     def stop(self) -> None:
@@ -217,9 +230,11 @@ class SetUpPanel(QWidget):
         return row.two_cameras and self._info is not None and not self._info.rig.has_proximity
 
     def _next(self) -> StepRow | None:
-        """Return the first step that is open; None if the rig is set up."""
+        """Return the chosen step, or the first one that is open; None if the rig is set up."""
         if self._info is None:
             return self.source
+        if self._chosen is not None:
+            return self._chosen
         preset = self._context.document.preset
         for row in self.rows[1:]:
             if not self._left_out(row) and not row.skipped and (row in self._again or not row.known(preset)):
@@ -240,6 +255,7 @@ class SetUpPanel(QWidget):
 
     def _step_ended(self, found: bool) -> None:
         row = next(row for row in self.rows if row.work is self.sender())
+        self._chosen = None
         if found:
             self._again.discard(row)
             row.skipped = False
@@ -256,7 +272,7 @@ class SetUpPanel(QWidget):
             self._advance()
 
     def _skip(self) -> None:
-        row = self._next()
+        row, self._chosen = self._next(), None
         if row is not None and row.work is not None:
             self._again.discard(row)
             row.skipped = True
@@ -266,12 +282,13 @@ class SetUpPanel(QWidget):
 
     def _opened(self, info: SourceInfo) -> None:
         """Begin again: what other cameras or another recording showed does not hold here."""
-        self._info, self._again = info, set()
+        self._info, self._again, self._chosen = info, set(), None
         for row in self.rows:
             row.skipped = False
             if row.work is not None:
                 row.work.found = None
-                row.work.sentence.clear()
+                if row.work.sentence.text() != OTHER_SOURCE:
+                    row.work.sentence.clear()
         length = "live" if info.length is None else counted(info.length, "frame")
         self.source.opened = f"{info.name}, {length}."
         self._show()

@@ -16,7 +16,7 @@ from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
-from ...widgets.basics.dialogs import Dialogs, local_files, room_on
+from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
 from ...widgets.basics.layouts import hbox, scrolling, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
@@ -30,11 +30,10 @@ from ..calibration.wizard import CalibrationLauncher
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..document.keeping import Autosave
-from ..rig.noise_window import NoiseControl
-from ..rig.untouched_window import UntouchedControls
+from ..rig.untouched import UntouchedControls
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
-from ..setup.panel import SetUpPanel
+from ..setup.panel import SetUpPanel, StepRow
 from ..sources.cameras_page import CAMERA_SCHEMES
 from ..sources.control import CameraControl
 from ..sources.opening import OpenControl
@@ -116,14 +115,13 @@ class MainWindow(QMainWindow):
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
         self.topics = TopicsControl(self, self.dialogs, self.open_named, self._open_failed)
-        self.noise = NoiseControl(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(
             self.context,
             self.untouched.keeper,
             self.actions_.watch_drift,
             calibrate=self.calibration.open_wizard,
-            capture=self.untouched.open,
+            capture=self.actions_.capture_untouched.trigger,
         )
         self.suggest = SuggestControl(self.context)
         shared = [getattr(self.actions_, name) for name in _SHARED_ACTIONS]
@@ -255,7 +253,7 @@ class MainWindow(QMainWindow):
         actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.check_drift.triggered.connect(self.watch.open)
-        actions.measure_noise.triggered.connect(self.noise.open)
+        actions.measure_noise.triggered.connect(lambda: self._come_to(self.set_up.noise))
         actions.findings.triggered.connect(self.rail.focus_first)
         actions.publish.triggered.connect(self._show_publishing)
         actions.search.triggered.connect(self.search.begin)
@@ -265,7 +263,7 @@ class MainWindow(QMainWindow):
         actions.open_source.triggered.connect(self.sources.open)
         actions.cameras.triggered.connect(self.sources.open_cameras)
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
-        actions.capture_untouched.triggered.connect(self.untouched.open)
+        actions.capture_untouched.triggered.connect(lambda: self._come_to(self.set_up.untouched))
         actions.suggest_all.triggered.connect(lambda: self.suggest.open(ALL))
         actions.recordings_folder.triggered.connect(
             lambda: self.dialogs.open_folder("recordings", "Folder for recordings", self.recording.use_folder)
@@ -386,6 +384,12 @@ class MainWindow(QMainWindow):
                 dark=theme_name() == "dark",
             )
         )
+
+    def _come_to(self, step: StepRow) -> None:
+        bring_up(self)  # the analysis window has these actions, too
+        self.actions_.show_panel.setChecked(True)
+        self.modes.choose(Mode.SET_UP)
+        self.set_up.choose(step)
 
     def _show_color_image(self) -> None:
         if self.views.enlarged is not self.strip.panes["color"]:
@@ -514,7 +518,7 @@ class MainWindow(QMainWindow):
         event.accept()
 
     def shut_down(self) -> None:
-        showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.noise)
+        showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.set_up)
         for part in (
             *showing,
             self.cameras,

@@ -37,10 +37,8 @@ SMALL = QSize(1008, 660)
 ACTIONS = (
     "calibrate",
     "check_drift",
-    "measure_noise",
     "open_source",
     "camera_settings",
-    "capture_untouched",
     "suggest_all",
     "shortcuts",
 )

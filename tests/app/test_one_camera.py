@@ -86,16 +86,6 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
         assert "tactile camera only" not in action.toolTip()
 
 
-def test_the_noise_window_speaks_of_no_bias(make_window, qtbot, preset, untouched_source):
-    window = make_window(preset)
-    show_source(qtbot, window, untouched_source, 3)
-    window.noise.open()
-    panel = window.noise.window.panel
-    qtbot.waitUntil(lambda: "bias" not in panel.intro.text())
-    show_source(qtbot, window, FakeSource(), 3)
-    qtbot.waitUntil(lambda: "bias" in panel.intro.text())
-
-
 def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbot):
     window.open_source("sim:cup?press=medium&cameras=tactile")
     qtbot.waitUntil(lambda: window.result is not None and not window.result.source.rig.has_proximity)
@@ -108,8 +98,8 @@ def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbo
     assert window.document.preset.contact_test == "dent"
     qtbot.waitUntil(lambda: window.result.preset.contact_test == "dent" and "untouched" in window.result.problem)
     press(qtbot, patch_view(window), "Capture untouched frame")
-    qtbot.waitUntil(lambda: window.untouched.window is not None and window.untouched.window.isVisible())
-    capture = window.untouched.window.panel
+    capture = window.set_up.untouched.work
+    qtbot.waitUntil(capture.start.isVisible)
     capture.wanted = 3
     QTest.mouseClick(capture.start, LEFT)
     qtbot.waitUntil(lambda: not capture.busy and window.document.preset.untouched is not None, timeout=60_000)

@@ -71,11 +71,10 @@ def test_a_lost_untouched_frame_is_a_warning_when_saving(document, tmp_path):
 
 def capture(qtbot, window):
     window.actions_.capture_untouched.trigger()
-    opened = window.untouched.window
-    opened.panel.wanted = 3
-    QTest.mouseClick(opened.panel.start, Qt.MouseButton.LeftButton)
+    step = window.set_up.untouched.work
+    step.wanted = 3
+    QTest.mouseClick(step.start, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None)
-    opened.close()
 
 
 def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window, tmp_path):

@@ -8,7 +8,6 @@ from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from hands import LEFT, show_source
-from tactune.app.setup.panel import SetUpPanel
 from tactune.core.model.frames import Rig
 from tactune.core.preset import CameraNoise, Preset, RigNoise, now
 
@@ -17,13 +16,8 @@ from tactune.core.preset import CameraNoise, Preset, RigNoise, now
 def set_up(qtbot, make_window):
     """The panel of a window with an empty preset."""
     window = make_window(Preset())
-    panel = SetUpPanel(
-        window.context,
-        {name: getattr(window.actions_, name) for name in ("open_source", "cameras", "calibrate", "save")},
-    )
-    qtbot.addWidget(panel, before_close_func=lambda panel: panel.close())
+    panel = window.set_up
     panel.window_ = window
-    panel.show()
     return panel
 
 

@@ -1,4 +1,4 @@
-"""The window that measures noise and bias, opened from the main window, on sources with known errors."""
+"""The step that measures noise and bias, on sources with known errors."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,10 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeSource
-from hands import LEFT, show_source
+from hands import CONTROL, LEFT, show_source
 from side_by_side import HEIGHT, PRINT_MASK, WIDTH, WallCameras, counts, wall_source
 from tactune.app.rig import gather
-from tactune.app.rig.noise_window import NoisePanel
+from tactune.app.rig.noise import NoiseStep
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
@@ -33,14 +33,14 @@ def stairs(index, rig):
 
 @pytest.fixture
 def open_checks(qtbot, make_window):
-    """A main window on a source, with that window open."""
+    """A main window on a source, with that step chosen by its key."""
 
     def make(source):
         values = {"contact_test": "tolerance", "outliers.enabled": False, **PRINT_MASK}
         main = make_window(Preset().with_values(values))
         show_source(qtbot, main, source)
         QTest.keyClick(main, Qt.Key.Key_F6)
-        qtbot.waitUntil(lambda: main.noise.window is not None and main.noise.window.isActiveWindow())
+        qtbot.waitUntil(main.set_up.noise.work.start.hasFocus)
         return main
 
     return make
@@ -52,8 +52,7 @@ def wait(qtbot, condition):
 
 def test_noise_and_bias_are_measured_used_and_undone(open_checks, rig, qtbot):
     main = open_checks(wall_source(rig))
-    tab = main.noise.window.panel
-    assert "not measured" in tab.stored.text()
+    tab = main.set_up.noise.work
     tab.wanted = 20
     QTest.mouseClick(tab.start, LEFT)
     assert tab.busy and not tab.start.isEnabled()
@@ -61,16 +60,14 @@ def test_noise_and_bias_are_measured_used_and_undone(open_checks, rig, qtbot):
     noise = main.document.preset.noise
     assert noise.frames == 20
     assert noise.bias_m == pytest.approx(0.004, abs=3e-4)
-    shown = tab.stored.text().splitlines()
-    assert shown[0].startswith("Tactile noise 0.3") and shown[1].startswith("Proximity noise 0.6")
-    QTest.mouseClick(tab.undo, LEFT)
+    assert main.set_up.noise.state.text() == "Noise 0.3 mm tactile, 0.6 mm proximity."
+    QTest.keyClick(main, Qt.Key.Key_Z, CONTROL)
     assert main.document.preset.noise is None
-    assert "not measured" in tab.stored.text()
 
 
 def test_what_cannot_be_measured_is_said(open_checks, rig, qtbot):
     main = open_checks(wall_source(rig, length=2000, step_m=0.001))  # it does not come back to its first place
-    tab = main.noise.window.panel
+    tab = main.set_up.noise.work
     tab.wanted = 20
     QTest.mouseClick(tab.start, LEFT)
     wait(qtbot, lambda: not tab.busy)
@@ -82,7 +79,7 @@ def test_what_cannot_be_measured_is_said(open_checks, rig, qtbot):
 
 def test_one_measurement_at_a_time_and_none_of_another_source(open_checks, rig, qtbot):
     main = open_checks(WallCameras(rig))
-    noise, other = main.noise.window.panel, NoisePanel(main.context)
+    noise, other = main.set_up.noise.work, NoiseStep(main.context)
     qtbot.addWidget(other)
     noise.wanted = 200
     noise.start.click()
@@ -92,4 +89,3 @@ def test_one_measurement_at_a_time_and_none_of_another_source(open_checks, rig, 
     show_source(qtbot, main, FakeSource(60, rig, make=stairs, name="other"))
     wait(qtbot, lambda: not noise.busy)
     assert noise.sentence.text() == gather.OTHER_SOURCE
-    main.noise.window.close()

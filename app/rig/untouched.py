@@ -1,15 +1,13 @@
-"""The window that captures the preset's untouched frame, and what reads the present preset's one."""
+"""Captures the preset's untouched frame, and reads the present preset's one."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from PyQt6.QtCore import QObject, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent
-from PyQt6.QtWidgets import QDialog, QLabel
+from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import FrameError, PresetError, counted
 from ...core.model.frames import SensorFrame
@@ -19,40 +17,24 @@ from ...core.rig.untouched import (
     average_untouched,
     load_untouched,
 )
-from ...widgets.basics.controls import make_verdict, push_button, wrapped_label
-from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.controls import push_button
 from ...widgets.basics.messages import Severity
-from ...widgets.images.image_pane import ImagePane
-from ..calibration.pictures import picture
-from ..context import SOURCE, Context
+from ..context import Context
 from ..document.document import Document, UntouchedStore
 from ..worker.jobs import Job, Progress, Work
 from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
 from .gather import Gather
 
-_ADVICE: Final = (
-    "The next frames are averaged into the preset's untouched frame. The check for drift and methods such as "
-    "tactile-only compare with it. The simulator removes its object for these frames."
-)
-_NONE: Final = "This preset has no untouched frame yet"
-_UNREAD: Final = "The preset's untouched frame cannot be found: capture it again"
 
-
-class UntouchedPanel(Gather):
+class UntouchedStep(Gather):
     """Averages the next frames while nothing touches the membrane, as one undoable step."""
 
     wanted = UNTOUCHED_FRAMES
     prompt = "Do not touch the membrane"
 
     def __init__(self, context: Context) -> None:
-        start = push_button("&Capture", "Average the next frames into the untouched frame (Enter)")
-        super().__init__(context, start)
-        self.progress.setAccessibleName("Progress of capturing")
-        self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
-        vbox(self.row(), self.sentence, within=self, margins=0)
-        self._show_busy()
+        super().__init__(context, push_button("&Capture", "Average the next frames; nothing may touch the membrane"))
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         store = self._document.untouched_store
@@ -75,64 +57,11 @@ class UntouchedPanel(Gather):
         return {"untouched": self.found.model_dump()}
 
 
-class CaptureWindow(QDialog):
-    """Shows the untouched frame, and captures a new one; the main window shows the membrane now."""
-
-    def __init__(self, context: Context, keeper: UntouchedKeeper) -> None:
-        super().__init__(context.window)
-        self.setWindowTitle("Capture untouched frame – Tactune")
-        self._context, self._keeper = context, keeper
-        self.panel = UntouchedPanel(context)
-        self.panel.start.setDefault(True)
-        headline = QLabel("Nothing may touch the membrane")
-        make_verdict(headline)
-        self.untouched = ImagePane("Untouched frame, tactile depth")
-        self.untouched.view.setMinimumSize(220, 165)
-        self.untouched.resized.connect(self._fit)
-        self.leave = push_button(
-            "&Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
-        )
-        self.leave.clicked.connect(self.reject)
-        row = hbox(STRETCH, self.leave)
-        vbox(headline, wrapped_label(_ADVICE), (self.untouched, 1), self.panel, row, within=self)
-        self.resize(560, 560)
-        keeper.changed.connect(self._show_untouched)
-        self._show_untouched()
-        self.panel.start.setFocus()
-
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Let Esc cancel capturing before it closes the window."""
-        if event is not None and event.key() == Qt.Key.Key_Escape and self.panel.busy:
-            self.panel.stop()
-            return
-        super().keyPressEvent(event)
-
-    def done(self, result: int) -> None:
-        self.panel.close_down()
-        super().done(result)
-
-    def _show_untouched(self) -> None:
-        record, frame, result = self._context.document.preset.untouched, self._keeper.frame, self._context.result
-        if frame is None or result is None or frame.tactile_depth.shape != result.source.rig.tactile.intrinsics.shape:
-            self.untouched.set_pixels(None, (1, 1), 1)
-        else:
-            shown = picture(frame, result.source.rig, "tactile", "depth").pixels
-            self.untouched.set_pixels(shown, (shown.shape[1], shown.shape[0]), 1)
-            self._fit()
-        found = frame is not None or self._keeper.busy
-        self.untouched.set_message("" if found else _NONE if record is None else _UNREAD)
-
-    def _fit(self) -> None:
-        self.untouched.show_rect(self.untouched.image_rect())
-
-
 class UntouchedControls(QObject):
-    """Owns the store of untouched frames, and opens at most one window."""
+    """Owns the store of untouched frames, and reads that of the present preset."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._context = context
-        self.window: CaptureWindow | None = None
         self.store = UntouchedStore(context.data_folder / "untouched")
         self.store.tidy()
         context.document.untouched_store = self.store
@@ -142,18 +71,7 @@ class UntouchedControls(QObject):
         self.keeper = UntouchedKeeper(context.document, context.worker.recorder, self.store, self)
         context.worker.opened.connect(self.keeper.source_opened)
 
-    def open(self) -> None:
-        if self._context.result is None:
-            sentence = "There is no frame to capture yet: open a source first."
-            self._context.messages.show_message("untouched", Severity.WARNING, sentence, subject=SOURCE)
-            return
-        if self.window is None:
-            self.window = CaptureWindow(self._context, self.keeper)
-        bring_up(self.window)
-
     def close(self) -> None:
-        if self.window is not None:
-            self.window.reject()
         self.keeper.close()
 
 
