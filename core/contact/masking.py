@@ -24,7 +24,9 @@ _CHANGED, _FEWER_PRINTS, _MORE_PRINTS = 0.1, 0.7, 1.5
 def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
     """Return which RGB colours (..., 3) lie in the mask's range of OpenCV's HSV; a low hue above the high wraps."""
     inside = np.empty(colors.shape[:-1], bool)
-    colors_in_range(flat(colors, 3 * LANES), hsv_limits(section), inside.reshape(-1))
+    row = flat(colors, 3 * LANES).view()
+    row.flags.writeable = False  # as the images of frames are: for another type the kernel would be compiled again
+    colors_in_range(row, hsv_limits(section), inside.reshape(-1))
     return inside
 
 
@@ -78,6 +80,7 @@ class Light:
             return image  # the mask was tuned in this light
         table = np.clip(np.round(np.arange(256)[:, None] / ratios), 0, 255).astype(np.uint8)[None]
         relit = np.asarray(cv2.LUT(image, table), np.uint8)
+        relit.flags.writeable = False
         # where a press has displaced most prints, the ratios are not those of the light
         return relit if raw < masked_share(relit, self._mask) < _MORE_PRINTS * self.share else image
 

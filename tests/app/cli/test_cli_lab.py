@@ -13,6 +13,7 @@ GRID = "sim:cup?press=low&grid=dots"
 
 
 def test_the_table_prints_cell_by_cell_and_goes_on_where_it_stopped(tactune, tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "time_table", lambda plan: {})
     monkeypatch.setattr(table, "available_threads", lambda: 1)  # in this process: with coarse scenes
     command = [
         "lab", "table", "--objects", "cup", "--presses", "low,medium", "--membranes", "standard", "--seeds", 1,

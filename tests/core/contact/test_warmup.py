@@ -88,18 +88,20 @@ print(list(shares) == sorted(shares), words[0].rpartition(" ")[2], len(told) - 2
 
 def test_no_frame_of_the_membrane_test_waits_for_a_compiler():
     program = """
+from dataclasses import replace
 from tactune.core.contact.kernels.compiling import compiled_so_far
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 source = SimulatorSource("cup", seed=3, variant=Variant(press="medium"), cells=(60, 36))
 frames = [source.read(index) for index in range(2)]
+frames.append(replace(frames[0], proximity_color=frames[0].proximity_color // 2))  # in half of the light
 plain = load_preset("simulator").with_values({"contact_test": "membrane", "alignment.model": "rigid"})
 for values in ({"membrane.bias": False}, {}, {"membrane.frames": 2}):  # each needs more than the one before
     preset = plain.with_values(values)
     warm_up_test(preset, lambda share, words: None)
     before = compiled_so_far()
-    pipeline = ContactPipeline(preset, source.rig)
+    pipeline = ContactPipeline(preset, source.rig, frames[0])
     for frame in frames:
         patch = pipeline.process(frame)
     after = compiled_so_far()
