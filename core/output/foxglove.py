@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, Final
 from ..errors import MissingExtraError, PublishError, foreign
 from ..model.files import atomic_path
 from ..model.loading import parse_json
-from .connections import MAX_CLIENTS
 from .messages import definition
 from .publisher import LiveMessage, SinkStatus
 
@@ -81,9 +80,7 @@ class FoxgloveSink:
     ``"https://app.foxglove.dev"``: any page that is open on this computer can reach a local server.
     """
 
-    def __init__(
-        self, host: str, port: int, max_clients: int = MAX_CLIENTS, origins: Collection[str] = frozenset()
-    ) -> None:
+    def __init__(self, host: str, port: int, max_clients: int, origins: Collection[str] = frozenset()) -> None:
         self._host, self._port = host, port
         self._max_clients, self._origins = max_clients, frozenset(origins)
         self._topics: list[str] = []
