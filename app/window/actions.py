@@ -55,6 +55,8 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("open_preset", "Open pre&set…", "Ctrl+Shift+O"),
         Row("save", "&Save preset", "Ctrl+S", icon="content-save-outline"),
         Row("save_as", "Save preset &as…", "Ctrl+Shift+S"),
+        Row("copy_command", "&Copy as command", tip="Copy the command that computes these patches without a window"),
+        Row("copy_python", "Copy as P&ython", tip="Copy the Python program that computes these patches"),
         Submenu("recent_presets", "&Recent presets"),
         Row("reopen", "Open again at s&tart", tip="The next start opens this source and preset", checked=True),
         _LINE,
@@ -234,7 +236,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     preset = QMenu("Preset", bar)
     preset.addAction(actions.new_preset)
     preset.addMenu(submenus["shipped_presets"])
-    preset.addActions([actions.open_preset, actions.save, actions.save_as])
+    preset.addActions([actions.open_preset, actions.save, actions.save_as, actions.copy_command, actions.copy_python])
     preset.addMenu(submenus["recent_presets"])
     themes = _choices(submenus["themes"], [(theme.capitalize(), theme) for theme in THEMES])
     speeds = _choices(submenus["speeds"], [(f"{speed:g} x", speed) for speed in SPEEDS])

@@ -11,11 +11,13 @@ from PyQt6.QtCore import QObject
 from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
 from ...core.sources.presets import load_preset
+from ...widgets.basics.controls import copy_text
 from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.comparison import differing_fields
-from ..document.document import describe_edit
+from ..document.document import Document, describe_edit
 from ..document.keeping import Autosave, UnsavedWork, unsaved_work
+from ..document.programs import as_command, as_python
 from ..sources.pages import recording_name
 from ..worker.results import SourceInfo
 from .actions import Actions
@@ -43,6 +45,8 @@ class FileFlows(QObject):
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
         actions.save_as.triggered.connect(lambda _: self.save_as())
+        actions.copy_command.triggered.connect(lambda _: self._copy("command", as_command))
+        actions.copy_python.triggered.connect(lambda _: self._copy("Python program", as_python))
         actions.reopen.setChecked(self._settings.text("reopen", "on") == "on")
         actions.reopen.toggled.connect(lambda on: self._settings.set("reopen", "on" if on else "off"))
 
@@ -92,6 +96,14 @@ class FileFlows(QObject):
         self._dialogs.save_file(
             "preset", "Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then)
         )
+
+    def _copy(self, what: str, program: Callable[[Document, str], str]) -> None:
+        """Copy the program that computes the same patches headless."""
+        result = self._context.result
+        source = self._settings.last_opened()[0] if result is None else result.source.name
+        if self._told(lambda: copy_text(program(self._document, source or "sim"))):
+            sentence = f"The {what} that computes these patches was copied."
+            self._messages.show_message("copied", Severity.INFO, sentence, subject=TASK)
 
     def open_dropped(self, paths: list[Path]) -> None:
         """Open the preset or recording that was dropped on the window, or say why not."""

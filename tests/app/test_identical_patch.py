@@ -1,9 +1,12 @@
 """A frame and a preset give the same bits in the window, in ``tactune run`` and in a Python script."""
 
+import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PyQt6.QtWidgets import QApplication
 
 from fakes import FakeSource, at_rest
 from tactune.app.cli.main import main
@@ -70,3 +73,35 @@ def test_on_a_real_scene(make_window, shared_data, tmp_path, qtbot, monkeypatch)
     window = make_window(load_preset(REAL_PAIR_PRESET))
     [patch] = check(window, shared_data / "real_pair", REAL_PAIR_PRESET, tmp_path / "out", qtbot, monkeypatch)
     assert len(patch.points) > 100_000
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_what_is_copied_gives_the_patch_of_the_window(window, pressed_cup, tmp_path, qtbot, monkeypatch, capsys, saved):
+    """Copy as command and as Python, with unsaved values too: a test, a list, and a section that was switched off."""
+    if saved:
+        window.document.save(tmp_path / "saved one.json")
+    changes = {
+        "contact_test": "membrane",
+        "mask.hue": (10, 20),
+        "mask.enabled": False,
+        "region.rectangle": (0, 0, 400, 300),
+    }
+    assert window.document.edit_many(changes | {"region.enabled": True})
+    seen = patches_of_the_window(window, pressed_cup, qtbot)
+    assert any(len(patch.points) for patch in seen)
+    actions, clipboard = window.actions_, QApplication.clipboard()
+
+    actions.copy_command.trigger()
+    words = shlex.split(clipboard.text())
+    assert (str(tmp_path / "saved one.json") in words) == saved
+    monkeypatch.setattr("sys.argv", [*words, "--json"])
+    capsys.readouterr()
+    assert main() == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    actions.copy_python.trigger()
+    exec(clipboard.text(), {})
+    printed = capsys.readouterr().out.splitlines()
+    for patch, line, text in zip(seen, lines, printed, strict=True):
+        assert (line["points"], line["area_mm2"]) == (len(patch.points), patch.area_mm2)
+        assert text == f"{patch.sequence} {len(patch.points)} {patch.area_mm2} {patch.centroid_m}"
