@@ -114,7 +114,6 @@ class ModeColumn(QWidget):
 
     def _show_mode(self, mode: Mode) -> None:
         self.stack.setCurrentWidget(self._panels[mode])
-        self._step.setVisible(mode is not Mode.SET_UP)  # its own panel names the next step
         self._show_step()
         self.modeChanged.emit()
 
@@ -129,6 +128,7 @@ class ModeColumn(QWidget):
     def _show_step(self) -> None:
         context = self._context
         sentence, name = next_step(self.mode, self._info, context.document.dirty, self._recording, context.trim)
+        self._step.setVisible(self.mode is not Mode.SET_UP)  # its own panel names the next step
         self._sentence.setText(sentence)
         for shown in self.button.actions():
             self.button.removeAction(shown)
