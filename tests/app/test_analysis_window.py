@@ -75,16 +75,6 @@ def test_only_the_visible_tab_takes_frames_and_a_closed_window_none(qtbot, windo
     assert analysis.made["compare"].sequences[-1] == 6
 
 
-def test_the_space_bar_plays_and_a_comma_steps_back(qtbot, window):
-    analysis = opened(qtbot, window)
-    analysis.activateWindow()
-    qtbot.waitUntil(analysis.isActiveWindow)
-    QTest.keyClick(analysis, Qt.Key.Key_Comma)
-    qtbot.waitUntil(lambda: analysis.made["compare"].sequences[-1] == 2)
-    QTest.keyClick(analysis, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: window.transport.state.playing)
-
-
 def test_the_main_window_closes_it_and_ends_its_tabs(qtbot, window):
     analysis = opened(qtbot, window)
     window.close_without_asking()

@@ -17,7 +17,6 @@ from hands import (
     type_path,
 )
 from tactune.app.document.comparison import Side
-from tactune.app.window.comparison import compared_times
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
@@ -62,16 +61,6 @@ def test_both_sides_are_bit_identical_with_a_pipeline_of_their_own(preset):
         assert len(by_name["A"].times_ms) == index, "the first frame, for which tables are made, does not count"
     assert by_name["A"].patch.averaged_frames == 4
     assert processor.process(INFO, frame, preset, Wanted(), PlaybackState()).compared is None
-
-
-def test_equal_presets_do_not_differ_in_time():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        a, b = (3 + rng.gamma(2, 0.2, 30) for _ in range(2))
-        first, second = compared_times(tuple(a), tuple(b))
-        assert first == second and first.startswith("≈")
-    assert compared_times(tuple(a), tuple(b + 12))[0] != compared_times(tuple(a), tuple(b + 12))[1]
-    assert compared_times((), (3.0,) * 30) == ("–", "–")
 
 
 def test_a_side_that_does_not_fit_the_rig_says_why_and_the_other_one_is_shown(preset):

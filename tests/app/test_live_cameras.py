@@ -3,16 +3,14 @@
 import json
 
 import pytest
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QCheckBox, QDialogButtonBox, QLabel
+from PyQt6.QtWidgets import QCheckBox, QDialogButtonBox
 
-from fakes import FakeCameras, FakeSource
+from fakes import FakeCameras
 from hands import press, show_source, type_into
 from tactune.app.sources import list_devices
 from tactune.app.window.main_window import MainWindow
-from tactune.app.worker.worker import SourceRequest
-from tactune.widgets.basics.controls import CollapsibleSection
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -143,17 +141,6 @@ def panel(window, cameras, qtbot):
     return made
 
 
-def section(panel, role):
-    (made,) = [it for it in panel.findChildren(CollapsibleSection) if it.button.text().startswith(f"{role} camera")]
-    return made
-
-
-def note(panel, role):
-    """What the section says in place of settings."""
-    body = section(panel, role).body
-    return " ".join(label.text() for label in body.findChildren(QLabel) if not label.isHidden())
-
-
 def test_every_option_has_a_row_that_says_what_it_means(panel):
     row = panel.rows["tactile", "exposure"]
     assert row.label.text() == "Exposure"
@@ -174,17 +161,6 @@ def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(wind
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
     assert window.document.preset.cameras.tactile.options == {}
     qtbot.waitUntil(lambda: panel.rows["tactile", "exposure"].widget.value() == 8500)
-
-
-def test_a_choice_and_a_flag(window, cameras, panel, qtbot):
-    choice = panel.rows["proximity", "visual_preset"].widget
-    choice.setFocus()
-    QTest.keyClick(choice, Qt.Key.Key_Down)
-    qtbot.waitUntil(lambda: cameras.values["proximity", "visual_preset"] == 5)
-    flag = panel.rows["tactile", "enable_auto_exposure"].widget
-    QTest.mouseClick(flag, LEFT, pos=QPoint(8, flag.height() // 2))
-    qtbot.waitUntil(lambda: cameras.values["tactile", "enable_auto_exposure"] == 0)
-    assert window.document.preset.cameras.tactile.options == {"enable_auto_exposure": 0.0}
 
 
 def test_a_refusal_is_said(window, cameras, panel, qtbot):
@@ -208,10 +184,3 @@ def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
     window.document.edit("cameras.tactile_delay_s", 0.1)
     press(window.messages.message("cameras"), "Open again")
     assert window.opened_names == ["cameras:"]
-
-
-def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
-    window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
-    qtbot.waitUntil(lambda: panel.rows == {})
-    # the rows that are gone are deleted by the event loop
-    qtbot.waitUntil(lambda: "no camera with settings" in note(panel, "Proximity"))

@@ -2,15 +2,12 @@
 
 import time
 
-import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.window.frame_presenter import badge
 from tactune.app.worker import reading
 from tactune.app.worker.processing import FrameProcessor
-from tactune.app.worker.results import CloudName, SourceState
-from tactune.core.sources.base import CameraHealth, Health
+from tactune.app.worker.results import CloudName
 
 
 def badges(window):
@@ -67,30 +64,3 @@ def test_pausing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras,
     assert not window.transport.position.isEnabled() and not window.actions_.next.isEnabled()
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1 > 0)
-
-
-def state(tactile="missing", *, stale=True, message="", problem="", own=""):
-    cameras = (
-        CameraHealth("proximity", "streaming", "L515", "f001"),
-        CameraHealth("tactile", tactile, "D405", "d002", own),
-    )
-    return SourceState(Health(message=message, cameras=cameras), stale, problem)
-
-
-@pytest.mark.parametrize(
-    ("given", "roles", "words"),
-    [
-        (
-            state(),
-            ("tactile",),
-            "Tactile camera D405 (serial d002) is not connected: plug it in. The last frame is shown",
-        ),
-        (state("stalled", stale=False), ("tactile",), "Tactile camera D405 (serial d002) sends no images"),
-        (state("streaming", stale=False), ("tactile",), ""),
-        (state("streaming"), ("tactile",), "No new frame has arrived. The last frame is shown."),
-    ],
-)
-def test_words_of_a_badge(given, roles, words):
-    said = badge(given, roles, shown=True)
-    assert said.startswith(words)
-    assert bool(said) == bool(words)

@@ -7,7 +7,6 @@ from PyQt6.QtWidgets import QDialogButtonBox
 
 from fakes import FakeSource
 from hands import CONTROL, LEFT
-from tactune.app.window import main_window
 from tactune.core.sources.folder import export_folder
 
 CAMERAS, FILES = range(2)
@@ -93,10 +92,3 @@ def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_
     QTest.keyClick(dialog.page.list, Qt.Key.Key_Delete)
     assert gone not in window.settings.recent("sources")
     assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
-
-
-def test_the_simulator_is_one_click_away(window, qtbot, monkeypatch):
-    monkeypatch.setattr(main_window, "open_source", lambda name, *_: FakeSource(name=name))
-    dialog = open_dialog(window, qtbot, FILES)
-    QTest.mouseClick(dialog.page.simulator, LEFT)
-    qtbot.waitUntil(lambda: shows(window, "sim:cup"))

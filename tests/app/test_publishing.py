@@ -100,16 +100,6 @@ def test_a_window_that_closes_while_publishing_starts_stops_listening(publishing
     qtbot.waitUntil(lambda: not listening())
 
 
-def test_a_taken_port_is_told(publishing, window, qtbot, port):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", port))
-        taken.listen()
-        QTest.mouseClick(publishing.start, LEFT)
-        qtbot.waitUntil(lambda: f"port {port} (Address already in use" in publishing.state.text())
-        assert not publishing.start.isChecked()
-    switch_on(publishing, qtbot, port)
-
-
 def test_ros_2_with_its_domain_and_namespace(publishing, qtbot):
     QTest.keyClick(publishing.foxglove, Qt.Key.Key_Space)
     QTest.keyClick(publishing.ros2, Qt.Key.Key_Space)

@@ -6,7 +6,6 @@ import pytest
 
 from fakes import tiny_frame, tiny_rig
 from tactune.app.worker.recorder import Recorder
-from tactune.core.errors import FrameError
 from tactune.core.output.writer import RecordingStatus
 from tactune.core.preset import Preset
 
@@ -67,19 +66,6 @@ def frame(index):
     return tiny_frame(index, tiny_rig())
 
 
-def test_every_frame_between_start_and_stop_is_recorded(recorder, made, ends, tmp_path):
-    recorder.start(*request(tmp_path))
-    recorder.put(frame(0))
-    recorder.put(frame(1), 2)
-    recorder.close()
-    recorder.put(frame(2))
-    assert made[0].frames == [0, 1]
-    assert made[0].closed
-    [end] = ends
-    assert end.status.frames == 2
-    assert end.reason == ""
-
-
 def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
     recorder.start(*request(tmp_path))
     recorder.put(frame(0))
@@ -90,17 +76,6 @@ def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
     made[0].may_close.set()
     recorder.close()
     assert ends[0].reason == "another source was opened"
-
-
-def test_a_frame_that_does_not_fit_counts_as_dropped_and_the_recording_goes_on(recorder, made, ends, tmp_path):
-    recorder.start(*request(tmp_path))
-    made[0].error = FrameError("frame 0 is 1280 x 720")
-    recorder.put(frame(0))
-    made[0].error = None
-    recorder.put(frame(1))
-    assert recorder.status().dropped == 1
-    recorder.close()
-    assert (ends[0].status.frames, ends[0].status.dropped) == (1, 1)
 
 
 def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tmp_path):

@@ -8,7 +8,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from hands import press, show_source
-from small_recordings import GrowingPress, small_rig
+from small_recordings import small_rig
 from tactune.core.sources.registry import open_source
 
 
@@ -47,13 +47,6 @@ def test_shows_the_angles_filters_and_remembers_the_choice(qtbot, window):
     other = type(tab)(window.context)
     assert other.filtered.isChecked()
     other.shut_down()
-
-
-def test_a_frame_without_contact_has_no_angles(qtbot, window):
-    tab = opened(qtbot, window, GrowingPress(small_rig(64), 4, False), 0)
-    assert "No contact" in tab.cloud.message()
-    assert tab.roll.text() == "Roll not determined"
-    assert tab.axis.text() == "Long axis not determined"
 
 
 def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, window):

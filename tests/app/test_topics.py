@@ -106,14 +106,3 @@ def test_a_folder_of_images_without_a_rig_is_asked_for_lens_and_unit(window, qtb
     rig = window.result.source.rig
     assert (rig.proximity.intrinsics.fy, rig.tactile.intrinsics.fx, rig.tactile.depth_unit_m) == (31, 40, 0.001)
     assert (folder / "rig.json").is_file() and window.topics.dialog is None
-
-
-def test_a_folder_whose_rig_nobody_states_is_not_opened(window, qtbot, tmp_path):
-    (tmp_path / "depth").mkdir()
-    cv2.imwrite(str(tmp_path / "depth/1.png"), np.full((24, 32), 400, np.uint16))
-    window.open_source(f"folder:{tmp_path}")
-    qtbot.waitUntil(lambda: isinstance(window.topics.dialog, FolderRigDialog))
-    assert list(window.topics.dialog.lenses) == ["tactile"]
-    QTest.keyClick(window.topics.dialog, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: window.topics.dialog is None)
-    assert not (tmp_path / "rig.json").exists()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fakes import FakeCameras, FakeSource
+from fakes import FakeSource
 from tactune.app.worker import processing
 from tactune.app.worker.playback import Playback
 from tactune.app.worker.results import CloudName, ColorBy, Wanted
@@ -95,27 +95,6 @@ def test_shutting_down_while_a_source_opens(qtbot, preset):
     qtbot.waitUntil(lambda: bool(watched.progress))
     watched.worker.shut_down()
     assert watched.worker.isFinished()
-
-
-def test_a_paused_live_frame_stays_while_the_source_goes_on(watched, qtbot, preset):
-    source = FakeCameras()
-    try:
-        watched.open(source)
-        source.release()
-        qtbot.waitUntil(lambda: watched.last is not None)
-        watched.worker.pause()
-        source.release()
-        qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].playing)
-        held = watched.last.frame.sequence
-        watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
-        source.give(qtbot, 3)
-        qtbot.waitUntil(lambda: watched.last.preset.tolerance.t == 0.5)
-        assert watched.last.frame.sequence == held
-        assert source.count > held + 2
-        watched.worker.play()
-        qtbot.waitUntil(lambda: source.release() or watched.last.frame.sequence > held)
-    finally:
-        source.close()
 
 
 def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, preset):
@@ -215,10 +194,3 @@ def test_a_live_source_is_never_due_since_it_paces_itself():
     live = started(length=None)
     assert live.wait_s(1e9) is None
     assert live.state.playing
-
-
-def test_a_single_frame_stands_still():
-    playback = started(length=1)
-    assert playback.wait_s(1e9) is None
-    playback.play()
-    assert not playback.playing

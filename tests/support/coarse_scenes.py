@@ -1,4 +1,4 @@
-"""Simulated still presses on a coarser mesh than the product's: each is solved in 4 s instead of 20, the rolling tray in 3."""
+"""Simulated still presses on a coarser mesh than the product's: each is solved in 4 s instead of 20, the tray in 3."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import struct
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -102,10 +101,6 @@ class FoxgloveClient:
                 if text["op"] == op:
                     return dict(text)
                 self.texts.append(text)
-
-    def vanish(self) -> None:
-        """Cut the connection, as a program does that is killed."""
-        self._socket.socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         self._connection.__exit__(None, None, None)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtGui import QShortcut, QWheelEvent
+from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
+from seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, three_linked, wall
 from tactune.widgets.clouds.cloud_view import CloudView
 
 
@@ -72,22 +72,6 @@ def test_keys_orbit_zoom_and_choose_viewpoints(view):
     reset = after(Qt.Key.Key_R)
     assert (reset.azimuth, reset.elevation) == (start.azimuth, start.elevation)
     assert reset.target == pytest.approx(start.target)
-
-
-def test_focused_keys_win_over_shortcuts_of_the_application(qtbot):
-    view = shown(qtbot, CloudView("Keys"))
-    pressed = []
-    for key in ("T", "Ctrl+T"):
-        shortcut = QShortcut(key, view)
-        shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
-        shortcut.activated.connect(lambda key=key: pressed.append(key))
-    view.activateWindow()
-    view.setFocus()
-    QTest.keyClick(view, Qt.Key.Key_T)
-    assert view.camera().elevation == pytest.approx(np.pi / 2)
-    assert pressed == []
-    QTest.keyClick(view, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
-    assert pressed == ["Ctrl+T"]
 
 
 # Framing

@@ -10,12 +10,9 @@ import pytest
 
 from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.model.patch import Provenance
-from tactune.widgets.basics.colormaps import provenance_legend
 from tactune.widgets.basics.overlays import Wipe
 from tactune.widgets.clouds.cloud_canvas import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_labels import LegendLine
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
 
@@ -118,20 +115,6 @@ def test_the_nearer_point_wins(view, nearer_first, behind):
 
 
 # Words around it
-
-
-@pytest.mark.parametrize("width", [297, 600, 1600])
-def test_a_legend_that_is_high_enough_shows_all_names(qtbot, width):
-    legend = LegendLine()
-    qtbot.addWidget(legend)
-    one = legend.sizeHint().height()
-    legend.setValue(provenance_legend("light", set(Provenance) - {Provenance.NO_PROXIMITY_DEPTH}))
-    legend.resize(width, one)
-    assert (legend.needed_height() > one) == (width < 1600)
-    legend.resize(width, legend.needed_height())
-    seen = legend.grab().toImage()
-    rgb = {seen.pixelColor(x, y).rgb() for x in range(seen.width()) for y in range(seen.height())}
-    assert all(color.rgb() in rgb for _, color in legend.value()), "each swatch is painted"
 
 
 # What is not drawn

@@ -9,7 +9,7 @@ from PyQt6.QtTest import QTest
 from hands import type_into
 from tactune.core.preset import Preset
 from tactune.widgets.basics.fields import section_fields
-from tactune.widgets.parameters.editors import NumbersEditor, parse_number
+from tactune.widgets.parameters.editors import NumbersEditor
 from tactune.widgets.parameters.slider import Scale, Slider
 
 LEFT = Qt.MouseButton.LeftButton
@@ -132,13 +132,6 @@ def test_showing_a_value_never_changes_it(qtbot, value):
     assert widget.value() == value
     assert edits == []
     widget.deleteLater()
-
-
-@pytest.mark.parametrize(
-    ("text", "number"), [("12", 12.0), (" 7,5 mm ", 7.5), ("7.5mm", 7.5), ("−3", -3.0), ("1e3", 1000.0)]
-)
-def test_people_may_type_a_unit_or_a_comma(text, number):
-    assert parse_number(text, " mm") == number
 
 
 LEFT = Qt.MouseButton.LeftButton

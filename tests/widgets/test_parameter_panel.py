@@ -9,7 +9,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel
 
 from hands import type_into
-from panel_steering import EYE3, EYE4, LEFT, drag
+from panel_steering import EYE3, EYE4, LEFT
 from tactune.core.preset import (
     AlignmentSection,
     HomographyAlignment,
@@ -111,19 +111,6 @@ def test_visiting_every_widget_by_tab_changes_nothing(panel, seen, contact_test)
     assert all(section.button in visited for section in panel.sections.values() if section.isVisible())
 
 
-def test_dragging_a_slider_is_one_gesture(panel, seen):
-    slider = panel.rows["tolerance.t"].widget.slider
-    left, length = slider.travel()
-    drag(slider, left + 0.3 * length, left + 0.4 * length, left + 0.5 * length)
-    values = [value for _, value, _ in seen.edits]
-    assert {path for path, *_ in seen.edits} == {"tolerance.t"}
-    assert len(values) >= 2
-    assert values == sorted(values)
-    assert 0.001 < values[0] < values[-1] < 0.3
-    assert len({gesture for *_, gesture in seen.edits}) == 1
-    assert panel.histograms["tolerance.t"].limit() == values[-1]
-
-
 def test_typing_and_reset(panel, seen):
     panel.set_preset(Preset(contact_test="tolerance"))
     panel.set_baseline(Preset(name="bench", tolerance=ToleranceSection(t=0.0123)))
@@ -155,23 +142,6 @@ def test_a_refused_value_is_explained_and_taken_back(panel, seen):
     assert seen.edits[-1][1] == (20, 100)
 
 
-def test_eyedroppers_exclude_each_other_and_escape_leaves(panel, seen):
-    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
-    for mode in ("set", "expand"):
-        QTest.mouseClick(panel.eyedroppers[mode], LEFT)
-        assert [name for name, button in panel.eyedroppers.items() if button.isChecked()] == [mode]
-    QTest.keyClick(panel, Qt.Key.Key_Escape)
-    assert seen.modes == ["set", "expand", "off"]
-    assert not any(button.isChecked() for button in panel.eyedroppers.values())
-    QTest.mouseClick(panel.eyedroppers["set"], LEFT)
-    QTest.mouseClick(panel.eyedroppers["set"], LEFT)
-    assert seen.modes[-2:] == ["set", "off"]
-    panel.set_eyedropper("expand")
-    assert seen.modes[-1] == "off"
-    panel.set_preset(Preset(mask=MaskSection(enabled=False)))
-    assert not panel.eyedroppers["expand"].isChecked()
-
-
 def test_dragging_a_line_of_the_histogram_edits_the_tolerance(qapp, panel, seen):
     panel.set_preset(Preset(contact_test="tolerance"))
     panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 40)
@@ -188,23 +158,6 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(qapp, panel, seen)
     assert len({gesture for *_, gesture in seen.edits}) == 1
     assert seen.edits[-1][1] == pytest.approx(0.05, abs=0.003)
     assert panel.rows["tolerance.t"].editor.value() == seen.edits[-1][1]
-
-
-def test_nothing_is_cut_off_at_its_narrowest(panel):
-    panel.resize(panel.minimumWidth(), 500)
-    for form in panel.forms.values():
-        form.set_open(True)
-    for contact_test in ("tolerance", "membrane"):
-        panel.set_preset(
-            Preset(
-                alignment=AlignmentSection(model="homography"),
-                region=RegionSection(enabled=True),
-                contact_test=contact_test,
-            )
-        )
-        QApplication.processEvents()
-        assert panel.width() == panel.minimumWidth()
-        assert panel.widget().width() <= panel.viewport().width()
 
 
 def test_only_the_chosen_alignment_is_shown(panel, seen):
@@ -245,15 +198,6 @@ def test_advanced_fields_are_folded_until_they_matter(panel):
     QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     panel.set_preset(Preset(name="next", membrane=MembraneSection(trust_m=0.02)))
     assert not trust.widget.isVisible(), "who closes it again is not disturbed"
-
-
-def test_a_finding_marks_its_field_and_moves_nothing(panel):
-    row, height = panel.rows["alignment.depth_offset_m"], panel.widget().height()
-    panel.show_findings({row.spec.path: "The offset is wrong."})
-    assert row.label.toolTip() == "The offset is wrong."
-    assert panel.widget().height() == height
-    panel.show_findings({})
-    assert row.label.toolTip() == row.spec.tooltip
 
 
 def test_the_contact_test_decides_which_sections_are_shown(panel, seen):

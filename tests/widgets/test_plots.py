@@ -65,18 +65,6 @@ def test_dragging_a_line_moves_both_in_one_gesture(histogram, start, target):
     assert edits[-1][1] != first
 
 
-@pytest.mark.parametrize("place", [0.3, 0.95])
-def test_the_wheel_is_left_to_the_page_over_bars_and_numbers(histogram, place):
-    viewport = histogram.plot_widget.viewport()
-    bar_at = QPointF(viewport.width() / 2, place * viewport.height())
-    event = QWheelEvent(
-        bar_at, QPointF(viewport.mapToGlobal(bar_at.toPoint())), QPoint(), QPoint(0, -120), Qt.MouseButton.NoButton,
-        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
-    )  # fmt: skip
-    QApplication.sendEvent(viewport, event)
-    assert not event.isAccepted()
-
-
 LEFT = Qt.MouseButton.LeftButton
 N = 300
 
@@ -132,11 +120,3 @@ def test_the_wheel_zooms_and_a_double_click_shows_everything(strip, sought):
     QTest.mouseDClick(strip.plot_widget.viewport(), LEFT, pos=strip.position_of(152).toPoint())
     QApplication.processEvents()
     assert pixels_per_frame(strip) == pytest.approx(before)
-
-
-def test_the_zoomed_strip_follows_the_cursor(strip):
-    turn_wheel(strip, 20, 15)
-    assert strip.position_of(280).x() > strip.plot_widget.width()
-    strip.set_cursor(280)
-    QApplication.processEvents()
-    assert 0 < strip.position_of(280).x() < strip.plot_widget.width()

@@ -2,9 +2,9 @@
 
 import pyqtgraph as pg
 import pytest
-from PyQt6.QtCore import QPoint, QRect, Qt
-from PyQt6.QtGui import QHelpEvent, QPalette
-from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QToolTip, QVBoxLayout, QWidget
+from PyQt6.QtCore import QRect, Qt
+from PyQt6.QtGui import QPalette
+from PyQt6.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
 from contrast import contrast_ratio
 from tactune.widgets.basics.style import apply_theme
@@ -68,45 +68,3 @@ def test_a_ring_shows_where_the_keyboard_acts(qapp, qtbot, name):
     qtbot.keyClick(two, Qt.Key.Key_Backtab)
     qtbot.waitUntil(lambda: edges() == {colors.window})
     apply_theme(qapp, "light")
-
-
-#: Too long for one line, and narrower than the screen, above whose width Qt itself breaks lines.
-LONG = "The share of the estimated rim that is eroded, because the membrane leaves the object at a tangent."
-SHORT = "Frames per second"
-WIDEST_PX = 420
-
-
-@pytest.fixture(autouse=True)
-def no_tip_before(qtbot):
-    apply_theme(QApplication.instance(), "light")
-    yield
-    QToolTip.hideText()
-    qtbot.waitUntil(lambda: not QToolTip.isVisible())
-
-
-def tip_at(qtbot, widget, place):
-    """Rest the pointer at a place of a widget; return the label in which Qt shows the tooltip."""
-    event = QHelpEvent(QHelpEvent.Type.ToolTip, place, widget.mapToGlobal(place))
-    QApplication.sendEvent(widget, event)
-    qtbot.waitUntil(QToolTip.isVisible)
-    [tip] = [label for label in QApplication.topLevelWidgets() if label.inherits("QTipLabel") and label.isVisible()]
-    return tip
-
-
-def assert_readable(tip, text):
-    assert tip.text() == text
-    assert tip.width() <= WIDEST_PX
-    words = tip.fontMetrics().boundingRect(0, 0, tip.width(), 9999, Qt.TextFlag.TextWordWrap, text)
-    assert tip.height() >= words.height()
-    assert tip.screen().geometry().contains(tip.geometry())
-
-
-def test_a_widget_and_another_right_after_it(qtbot):
-    for text in (LONG, SHORT, LONG):
-        label = QLabel("value")
-        qtbot.addWidget(label)
-        label.setToolTip(text)
-        label.show()
-        tip = tip_at(qtbot, label, QPoint(2, 2))
-        assert_readable(tip, text)
-        assert (tip.height() > 2 * tip.fontMetrics().height()) == (text is LONG)

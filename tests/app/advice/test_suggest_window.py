@@ -6,7 +6,7 @@ from threading import Event
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from hands import CONTROL, LEFT, drag_slider, show_source, text_of, tolerance_slider
+from hands import CONTROL, LEFT, drag_slider, show_source, tolerance_slider
 from printed_source import PrintedSource
 from tactune.app.advice import window as suggest_window
 
@@ -49,20 +49,6 @@ def test_a_suggested_mask_is_compared_applied_as_one_step_and_undone(main, qtbot
     assert main.document.dirty
     QTest.keyClick(window, Qt.Key.Key_S, CONTROL)
     qtbot.waitUntil(lambda: not main.document.dirty)
-
-
-def test_values_and_refusals_are_written_down(main, qtbot):
-    window = ask(qtbot, main)
-    text = text_of(window)
-    assert "Use the mask off → on" in text
-    assert "Hue 0 to 179 →" in text
-    show_source(qtbot, main, PrintedSource(with_untouched=False), 6)
-    assert window.sentence.text() == "Another source was opened: measure again."
-    QTest.mouseClick(window.again, LEFT)
-    qtbot.waitUntil(lambda: not window.busy)
-    assert "Mask: no suggestion." in text_of(window)
-    assert "capture an untouched frame" in text_of(window)
-    assert not window.apply.isEnabled()
 
 
 def test_suggest_all_by_keys_takes_only_what_is_ticked(main, qtbot):

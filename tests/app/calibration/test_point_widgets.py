@@ -1,7 +1,5 @@
 """The point image, the loupe, the table and the small plots, by real events."""
 
-from itertools import pairwise
-
 import numpy as np
 import pyqtgraph as pg
 import pytest
@@ -91,16 +89,6 @@ def test_keys_nudge_and_ask(image, qtbot, key, modifier, signal, arguments):
     with qtbot.waitSignal(getattr(image, signal)) as caught:
         QTest.keyClick(image, key, modifier)
     assert tuple(caught.args) == pytest.approx(arguments)
-
-
-def test_marks_arrows_and_ghost_change_the_picture(image):
-    shown = [image.grab().toImage()]
-    for arrow in (None, (3.0, 0.0)):
-        image.set_marks([Mark("1", 40, 30, arrow=arrow)])
-        shown.append(image.grab().toImage())
-    image.layer.set_ghost((90, 60))
-    shown.append(image.grab().toImage())
-    assert all(before != after for before, after in pairwise(shown))
 
 
 ROWS = [

@@ -2,9 +2,6 @@
 
 import json
 
-import pytest
-
-from tactune.core.contact.checks import preset_notes
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
@@ -64,26 +61,6 @@ def test_new_starts_from_another_preset_and_its_rig(tactune, recording, tmp_path
     preset, shipped = load_preset(third), load_preset("simulator")
     assert (preset.name, preset.rig, preset.alignment.model) == ("other", rig, "homography")
     assert (preset.mask, preset.tolerance) == (shipped.mask, shipped.tolerance)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (["contact_test=tolerance", "alignment.model=homography"], []),
-        (["membrane.gap_m=0.001", "mask.hue=[150,170]"], []),
-        (["contact_test=membrane", "alignment.model=homography"], ["mask.hue", "one plane"]),
-    ],
-)
-def test_what_is_probably_not_meant_is_noted_and_nothing_else(tactune, recording, tmp_path, settings, words):
-    file = tmp_path / "mine.json"
-    options = [word for setting in settings for word in ("--set", setting)]
-    new = tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *options)
-    checked = tactune("preset", "validate", file)
-    assert (new.status, checked.status) == (0, 0)
-    assert new.err == checked.err == "".join(f"note: {note}\n" for note in preset_notes(load_preset(file)))
-    assert new.err.count("note: ") == len(words)
-    for line, word in zip(new.err.splitlines(), words, strict=True):
-        assert word in line
 
 
 def test_show_prints_a_file_that_loads_to_the_same_preset(tactune, tmp_path):

@@ -1,6 +1,5 @@
 """``tactune record``, ``tactune convert`` and ``tactune run --out patches.mcap``."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -38,31 +37,6 @@ def test_a_recording_is_recorded_whole(tmp_path, recording, tactune):
         assert source.preset() == load_preset("default")
         with open_source(str(recording)) as original:
             assert_same_recording(source, original)
-
-
-def test_a_signal_while_queued_frames_are_written_loses_none(tmp_path, recording, tactune, monkeypatch):
-    from tactune.core.output import bag
-
-    write = bag.Bag.write
-    sent = []
-    ended = []
-
-    def slowly(self, *message):
-        time.sleep(0.2)
-        write(self, *message)
-        if not sent:
-            sent.append(1)
-            os.kill(os.getpid(), signal.SIGTERM)  # the source has ended; the queue has not
-
-    monkeypatch.setattr(bag.Bag, "write", slowly)
-    usual = signal.signal(signal.SIGTERM, lambda *_: ended.append(1))
-    try:
-        done = tactune("record", "-s", recording, "-o", tmp_path / "a.mcap")
-    finally:
-        signal.signal(signal.SIGTERM, usual)
-    assert done.status == 0
-    assert (sent, ended) == ([1], [])
-    assert length_of(tmp_path / "a.mcap") == 4
 
 
 def test_converting_there_and_back_changes_no_bit(tmp_path, recording, tactune):

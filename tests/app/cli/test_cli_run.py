@@ -75,13 +75,6 @@ def test_truth_is_compared_where_it_is_known(tactune, make_recording):
     assert len(unlabelled.err.splitlines()) == 1
 
 
-def test_a_depth_unit_that_cannot_be_is_told_once(tactune, recording):
-    rig = json.loads((recording / "rig.json").read_text())
-    rig["tactile"]["depth_unit_m"] *= 100
-    (recording / "rig.json").write_text(json.dumps(rig))
-    assert tactune("run", "--truth", "-s", recording).err.count("depth_unit_m") == 1
-
-
 def test_another_serial_is_a_warning_and_another_size_an_error(tactune, make_recording, tmp_path):
     preset = tmp_path / "mine.json"
     save_preset(Preset(name="mine", rig=load_rig(make_recording("first") / "rig.json")), preset)

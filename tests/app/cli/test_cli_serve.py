@@ -48,10 +48,6 @@ def number_of(frame):
     return int(json.loads(frame["/tactune/frame"].data)["sequence"])
 
 
-def cloud_of(message):
-    return np.frombuffer(bytes(message.data), "<f4").reshape(message.height, message.width, 3)
-
-
 def find(number, preset):
     """Return a frame of the source that is served, and its patch."""
     with open_source(SOURCE) as source:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactune.core.sources.simulator.noise import STEREO_BASELINE_M, NoiseModel
-from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M
 from tactune.core.sources.simulator.scene import CleanState, simulator_rig
 from tactune.core.sources.simulator.sensors import SENSORS
 
@@ -116,15 +116,3 @@ def test_no_noise_is_the_clean_sensor_and_noise_is_a_factor_on_all_errors():
     for level in (0.5, 2.0):
         error = proximity_error(NoiseModel(RIG, 0, level, far), 0)
         assert np.nanmean(error) == pytest.approx(0.020 * level, abs=2e-4)
-
-
-def test_flying_pixels_are_as_frequent_as_the_model_says():
-    wall = WALL.copy()
-    wall[:, 320:] *= 2
-    flags = PLAIN.copy()
-    flags[:, 319:321] = EDGE_FLAG
-    for name in ("half", "datasheet", "worn"):
-        sensor = replace(SENSORS[name], tof_dropout_share=0.0)
-        depth = measured(NoiseModel(RIG, 0, 1.0, sensor), 0, wall, flags=flags)[:, 319:321] * 0.00025
-        between = (depth > 0.32) & (depth < 0.58)
-        assert between.mean() == pytest.approx(0.87 * sensor.tof_flying_share, abs=0.08)

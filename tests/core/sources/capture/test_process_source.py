@@ -116,18 +116,6 @@ def test_opening_is_left_by_an_exception_of_the_progress(nothing_left):
         ProcessSource(open_for_ever, progress)
 
 
-def test_closing_twice_and_using_a_closed_source(nothing_left, tmp_path):
-    source = ProcessSource(partial(open_troubled, tmp_path))
-    assert source.next_frame() is not None
-    source.close()
-    source.close()
-    assert source.wait(0.0)
-    with pytest.raises(SourceError, match="troubled: the source is closed; open it again"):
-        source.next_frame()
-    with pytest.raises(SourceError, match="not running at present"):
-        source.options()
-
-
 def test_a_forgotten_source_ends_its_process(nothing_left, tmp_path):
     source = ProcessSource(partial(open_troubled, tmp_path))
     assert source.next_frame() is not None

@@ -14,7 +14,7 @@ from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import CameraSection, CamerasSection
 from tactune.core.sources.cameras.camera import Calibration
-from tactune.core.sources.cameras.realsense import RealSenseDriver, describe
+from tactune.core.sources.cameras.realsense import RealSenseDriver
 from tactune.core.sources.cameras.source import CameraSource
 
 IMAGES = 90
@@ -58,12 +58,6 @@ def test_lenses_pose_and_unit_are_those_that_the_devices_state(session):
     rotation = np.reshape(software_rig.COLOR_ROTATION, (3, 3)).T  # the driver states columns
     expected = rotation @ point[:3] + software_rig.COLOR_TRANSLATION_M
     np.testing.assert_allclose((np.asarray(color.T_color_depth) @ point)[:3], expected, atol=1e-7)
-
-
-def test_devices_are_described_without_being_started():
-    proximity, tactile = map(describe, SoftwareRig().devices())
-    assert (proximity.model, proximity.serial, proximity.usb) == ("L515", "f0090001", "3.2")
-    assert (proximity.role, tactile.role, tactile.firmware) == ("proximity", "tactile", "05.12.14.100")
 
 
 def open_rig(rig):
@@ -130,12 +124,6 @@ def test_a_device_in_use_is_said_to_be():
         pytest.raises(SourceError, match=r"L515 \(serial f0090001\) is in use by another program"),
     ):
         open_rig(rig)
-
-
-def test_a_missing_mode_is_said_with_those_that_are_there(monkeypatch):
-    monkeypatch.setattr("tactune.core.sources.cameras.realsense.WIDTH", 1280)
-    with pytest.raises(SourceError, match=r"no depth stream of 1280 x 480.*depth 320 x 240 at 30 Hz, depth 640"):
-        open_rig(SoftwareRig())
 
 
 def test_a_delay_of_the_tactile_camera_is_taken_off_its_stamps_before_pairing():
