@@ -19,7 +19,7 @@ from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..worker.jobs import Job, JobRow, Progress, Work
-from ..worker.results import RateMeter, Result
+from ..worker.results import Result
 
 #: The entry-point group for tabs of other packages: each entry names a `TabKind`.
 TABS: Final = "tactune.tabs"
@@ -69,11 +69,8 @@ class LiveTab(AnalysisTab):
         super().__init__()
         self.context, self.settings = context, context.settings
         self.result: Result | None = None
-        #: What was found last; None before the first frame of a source.
-        self.found: Any = None
         #: The rows of the source's frames by frame number, the newest last.
         self.rows: dict[int, Row] = {}
-        self.rate = RateMeter()
         self.job, self._writing = Job(self), Job(self)
         self.job.done.connect(self._done)
         self.job.failed.connect(partial(self._complain, "work"))
@@ -114,7 +111,7 @@ class LiveTab(AnalysisTab):
         if former is None or result.source is not former.source:
             self.job.cancel()
             self.messages.clear("reset")  # its rows belong to the former source
-            self.rows, self.found = {}, None
+            self.rows = {}
             self.begin(result)
             self.rows_changed()
             self._offer()
@@ -133,9 +130,6 @@ class LiveTab(AnalysisTab):
         result, found = done
         if self.result is None or result.source is not self.result.source:
             return
-        if result.frame.sequence not in self.rows:
-            self.rate.tick()
-        self.found = found
         self.status.setText(f"Frame {result.frame_number} of {result.source.name}")
         row = self.show_found(result, found)
         self.rows.pop(result.frame.sequence, None)  # as in a loop, the newest is the last

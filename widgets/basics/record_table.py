@@ -139,7 +139,6 @@ class RecordTable(QTableView):
     ticked = pyqtSignal(object, bool)  # record, on
     selectionEdited = pyqtSignal(object)  # keys: a person selected other rows
     deleteRequested = pyqtSignal()
-    copied = pyqtSignal(int)  # rows
 
     def __init__(
         self,
@@ -220,7 +219,6 @@ class RecordTable(QTableView):
         lines = [[column.title for column in self._model.columns]]
         lines += [[column.text(record) for column in self._model.columns] for record in records]
         copy_text("\n".join("\t".join(line) for line in lines))
-        self.copied.emit(len(records))
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is None:
