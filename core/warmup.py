@@ -82,8 +82,8 @@ def warm_up_views(test: str) -> None:
 
 def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     """Run every kernel once, on artificial frames; return how many were compiled, and where they are cached."""
-    warm_up_test(_preset("tolerance"), lambda share, words: progress(share / 3, words))
-    warm_up_test(_preset("membrane", 2), lambda share, words: progress((1 + share) / 3, words))
+    for number, preset in enumerate((_preset("tolerance"), _preset("membrane", 2), _preset("dent"))):
+        warm_up_test(preset, lambda share, words, number=number: progress((number + share) / 4, words))  # type: ignore[misc]
     warm_up_views("membrane")
     progress(1.0, "All contact tests are compiled")
     return compiled_so_far()

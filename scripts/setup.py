@@ -58,6 +58,8 @@ def set_up() -> None:
     editable = ["--quiet", "--no-deps", "--no-build-isolation", "--editable", str(ROOT)]
     pip("install", *editable, what="Tactune itself")
     project_stamp.set()
+    print("Compiling the contact tests for this computer (once) ...", flush=True)
+    succeeds(VENV / "bin" / "tactune", "warmup")  # what fails here is told by the first start
 
 
 class Stamp:

@@ -122,7 +122,8 @@ class FramePresenter(QObject):
         self._messages.state("health", Severity.WARNING, state.health.message, SOURCE)
         self._status.show_state(state)
         shown = self._context.result is not None
-        self._views.show_badges({name: badge(state, roles, shown) for name, roles in _CAMERAS.items()})
+        self._badges = {name: badge(state, roles, shown) for name, roles in _CAMERAS.items()}
+        self._views.show_badges(self._badges)
         self._strip.set_badge("old" if shown and state.stale else "")
 
     def show(self, result: Result) -> None:
@@ -131,6 +132,8 @@ class FramePresenter(QObject):
         self._context.playback = result.playback  # results overtake the worker's own announcement
         wipe, compared = self._wipe(), result.compared
         self._views.show_result(result, theme_name(), wipe)
+        old_patch = result.waiting if result.patch is not None else ""
+        self._views.show_badges(self._badges | ({CloudName.PATCH: old_patch} if old_patch else {}))
         self._strip.set_wipe(wipe)
         strip = (result if compared is None else compared.a).rendered.strip
         if strip is not None:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
+from ...core.contact import CONTACT_TESTS
 from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
@@ -22,12 +23,13 @@ _Kernels = tuple[str, bool]
 
 
 class BackgroundCompiler:
-    """Compiles the kernels of the contact tests that are asked for, one test after the other."""
+    """Compiles the kernels of the contact tests: first those that are asked for, then the others."""
 
     def __init__(self, changed: Callable[[], object]) -> None:
         self._changed = changed
         self._ready: set[_Kernels] = set()
         self._wanted: Preset | None = None
+        self._looked_behind: Preset | None = None
         self._thread: Thread | None = None
         self._words = ""
         self._stopping = False
@@ -38,14 +40,22 @@ class BackgroundCompiler:
 
     def missing(self, preset: Preset) -> str:
         """Return how far the compilation of a preset's contact test is; empty if its frames need not wait."""
-        kernels = _kernels_of(preset)
-        if kernels in self._ready:
-            return ""
-        if is_compiled(preset):
-            self._ready.add(kernels)
+        if self._is_ready(preset):
+            if not self.busy and preset is not self._looked_behind:
+                self._looked_behind = preset
+                names = [name for name in CONTACT_TESTS if (name, preset.averaged_frames > 1) not in self._ready]
+                others = (preset.with_value("contact_test", name) for name in names)
+                self._wanted = next((other for other in others if not self._is_ready(other)), None)
             return ""
         self._wanted = preset
+        self._looked_behind = None
         return self._words or f"Compiling the {preset.contact_test} test for this computer"
+
+    def _is_ready(self, preset: Preset) -> bool:
+        """Return whether a test need not be compiled; one that somebody adds is compiled by its first frame."""
+        if _kernels_of(preset) not in self._ready and is_compiled(preset):
+            self._ready.add(_kernels_of(preset))
+        return _kernels_of(preset) in self._ready
 
     def start(self) -> None:
         """Begin to compile the test that was missing last, unless one is being compiled."""

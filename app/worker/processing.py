@@ -30,8 +30,8 @@ TIMED_FRAMES = 30
 class PatchFinder:
     """The pipeline of one preset, made when it is first needed."""
 
-    def __init__(self, missing: Callable[[Preset], str] = lambda preset: "") -> None:
-        self._missing = missing
+    def __init__(self, missing: Callable[[Preset], str] = lambda preset: "", follows: bool = False) -> None:
+        self._missing, self._follows = missing, follows
         self.preset = Preset()
         self.warnings: tuple[str, ...] = ()
         self.patch: ContactPatch | None = None
@@ -48,12 +48,18 @@ class PatchFinder:
         self.times_ms: deque[float] = deque(maxlen=TIMED_FRAMES)
 
     def find(self, frame: SensorFrame, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
-        """Find the patch, or say why this preset cannot be used with this rig; ``untouched`` is the preset's frame."""
-        self.preset = preset
+        """Find the patch, or say why this preset cannot be used with this rig; ``untouched`` is the preset's frame.
+
+        While its contact test is compiled, a finder that ``follows`` edits keeps the preset that it had.
+        """
         self.waiting = self._missing(preset)
-        if self.waiting:
+        self.preset = preset
+        if self.waiting and (not self._follows or self._pipeline is None):
             self.patch, self.problem, self.warnings = None, "", ()
             return
+        if self.waiting and self._pipeline is not None:
+            self.preset = preset = self._pipeline.preset
+            untouched, self.waiting = self._untouched, f"Still the {preset.contact_test} test. {self.waiting}"
         kept = True
         try:
             if self._pipeline is None or untouched is not self._untouched:
@@ -84,7 +90,7 @@ class FrameProcessor:
     ) -> None:
         self._missing, self._stored_untouched = missing, untouched
         self._renderer = Renderer()
-        self._present = PatchFinder(missing)
+        self._present = PatchFinder(missing, follows=True)
         self._others: list[PatchFinder] = []
         self._processed = 0
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
@@ -93,7 +99,7 @@ class FrameProcessor:
         self._present.cameras_moved = moved
 
     def forget(self) -> None:
-        self._present, self._others = PatchFinder(self._missing), []
+        self._present, self._others = PatchFinder(self._missing, follows=True), []
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
 
     def process(
@@ -131,13 +137,14 @@ class FrameProcessor:
         return Result(
             source=info,
             frame=frame,
-            preset=preset,
+            preset=self._present.preset,
             patch=patch,
             area_mm2=patch.area_mm2 if patch is not None else 0.0,
             doubt=patch.doubt if patch is not None else None,
             rendered=rendered,
             playback=playback,
             problem=self._present.problem,
+            waiting=self._present.waiting,
             warnings=self._present.warnings,
             processed=self._processed,
             dropped=dropped,

@@ -206,6 +206,7 @@ class Result:
     rendered: Rendered
     playback: PlaybackState
     problem: str = ""
+    waiting: str = ""  # what the newest preset waits for; meanwhile ``preset`` and ``patch`` are of the one before
     warnings: tuple[str, ...] = ()
     processed: int = 0
     dropped: int = 0

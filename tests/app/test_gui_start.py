@@ -15,6 +15,7 @@ from tactune.app.gui import run_gui, show_window
 from tactune.app.settings import Settings
 from tactune.app.worker import beside
 from tactune.app.worker.results import CloudName
+from tactune.core.contact import CONTACT_TESTS
 from tactune.core.errors import ExportError
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
@@ -142,6 +143,29 @@ def test_clouds_are_shown_while_the_contact_test_is_compiled(monkeypatch, watche
     go_on.set()
     qtbot.waitUntil(lambda: watched.last.patch is not None)
     assert len(watched.last.patch.points) > 0
+
+
+def test_the_patch_of_the_old_test_stays_while_another_is_compiled(monkeypatch, window, qtbot):
+    """It is marked, and its preset is that of its own test; the other tests are compiled behind those in use."""
+    asked, go_on = [], Event()
+
+    def compile_slowly(progress, preset):
+        asked.append(preset.contact_test)
+        progress(0.2, "Compiling")
+        assert go_on.wait(60)
+
+    shown = window.views.views[CloudName.PATCH]
+    old = len(window.result.patch.points)
+    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(beside, "warm_up_if_needed", compile_slowly)
+    window.worker._compiler._ready = {("tolerance", False)}
+    window.document.edit("contact_test", "membrane")
+    qtbot.waitUntil(lambda: "tolerance" in shown.badge())
+    assert window.result.preset.contact_test == "tolerance" and len(window.result.patch.points) == old > 0
+    go_on.set()
+    qtbot.waitUntil(lambda: window.result.preset.contact_test == "membrane")
+    qtbot.waitUntil(lambda: not shown.badge())
+    qtbot.waitUntil(lambda: sorted([*asked, "tolerance"]) == sorted(CONTACT_TESTS))
 
 
 def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, watched, qtbot):
