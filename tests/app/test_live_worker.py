@@ -18,14 +18,6 @@ def cameras(watched, qtbot):
     return made
 
 
-def test_frames_are_shown_as_they_come(watched, cameras, qtbot):
-    cameras.release()
-    qtbot.waitUntil(lambda: watched.last.frame.sequence == 1)
-    assert watched.last.frame is cameras.given[1]
-    assert watched.last.playback.index == 1
-    assert watched.last.source.length is None
-
-
 def test_a_preset_is_used_at_once_while_no_frame_comes(watched, cameras, qtbot, preset):
     watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
     qtbot.waitUntil(lambda: watched.last.preset.tolerance.t == 0.5)

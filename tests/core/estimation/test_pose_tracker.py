@@ -148,20 +148,6 @@ def test_object_that_jumps_is_found_again_and_never_silently_wrong():
     assert not found.lost
 
 
-def test_a_search_neither_invents_nor_forgets_a_free_slide():
-    mesh, true = mesh_of("cylinder"), pose_of((90, 0, 0))
-    patch = pressed(mesh, true, deep_m=0.015, noise_m=0.0005)
-    along = true[:3, 2]
-    tracker = PoseTracker(mesh, PRESET, RIG)
-    assert abs(along @ (tracker.find(patch) - true)[:3, 3]) < 0.005, "touched near its centre"
-    start = true.copy()
-    start[:3, 3] += 0.02 * along + (0, 0, 0.025)
-    tracker.start(start)
-    found = tracker.track(patch, 0.0)
-    assert pose_error(found, true, mesh).position_m < 0.001
-    assert along @ (found.T_proximity_object - true)[:3, 3] == pytest.approx(0.02, abs=0.005), "stays where it was"
-
-
 def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
     bolt, true = mesh_of("bolt"), pose_of((20, 15, 40))
     patch = pressed(bolt, true, 0.03, 0.05)

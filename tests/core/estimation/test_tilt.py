@@ -151,13 +151,3 @@ def test_filter_bridges_a_gap_and_forgets_after_a_long_one():
     assert filter_.update(replace(raw[-1], time_s=times[-1] + 0.8, **lost)).roll_rad is None
     again = filter_.update(replace(raw[-1], time_s=times[-1] + 0.9, roll_rad=-0.2))
     assert (again.roll_rad, again.roll_rate_rad_s) == (-0.2, 0.0)
-
-
-def test_filter_follows_a_push_and_a_seek_at_once():
-    _, _, raw = moving(60)
-    filter_ = TiltFilter()
-    for tilt in raw:
-        filter_.update(tilt)
-    pushed = filter_.update(replace(raw[-1], time_s=raw[-1].time_s + 0.03, roll_rad=1.0))
-    assert (pushed.roll_rad, pushed.roll_rate_rad_s) == (1.0, 0.0)
-    assert filter_.update(replace(raw[0], roll_rad=-0.3)).roll_rad == -0.3

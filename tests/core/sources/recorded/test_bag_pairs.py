@@ -77,15 +77,6 @@ def test_clocks_that_cannot_be_compared_are_refused(tmp_path):
         BagSource(two_files(tmp_path, proximity, tactile))
 
 
-def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_bag, tmp_path):
-    stamps = times(5, EPOCH_S)
-    clocks = ["Hardware Clock"] * 2 + ["Global Time"] * 3
-    proximity = depth_images(1, times(5, 3.0), stamps_s=[1.5, 1.6, *stamps[2:]], clocks=clocks)
-    source = open_bag(two_files(tmp_path, proximity, on_global_time(2, stamps)))
-    assert source.length == 5
-    assert [frame.proximity_time_s for frame in source] == pytest.approx(stamps, abs=1e-5)
-
-
 def test_the_same_camera_twice_is_refused(tmp_path):
     path = make_bag(tmp_path / "a.bag", L515)
     copy = tmp_path / "b.bag"

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ros_maker import CHAIN, NONE, H, W, color, depth, make_recording
+from ros_maker import CHAIN, H, W, color, depth, make_recording
 from tactune.core import open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
@@ -255,12 +255,6 @@ def test_rectified_images_have_the_lens_p_and_raw_ones_k_with_its_distortion(tmp
         assert (found.fx, found.fy, found.cx, found.cy, found.coefficients[0]) == expected
 
 
-def test_a_pose_that_cannot_be_one_is_a_gap(tmp_path):
-    far = (("rig", "a_optical", (0, 0, 0), NONE), ("rig", "b_optical", (50.0, 0, 0), NONE))
-    rig, _, health = first_frame(make_recording(tmp_path / "take", TWO[:2], transforms=far))
-    assert rig.T_proximity_tactile is None and "is it in mm?" in health.message
-
-
 def test_unknown_lenses_are_named(tmp_path):
     for name, model, d in (("a", "kittens", (0.1,) * 5), ("b", "none", (0.1,) * 5), ("c", "plumb_bob", (np.nan,) * 5)):
         near = depth(NEAR, "a_optical", model=model, d=d)
@@ -300,15 +294,6 @@ def test_without_depth_it_lists_what_there_is(tmp_path, streams):
     assert "record" not in str(caught.value).partition("take")[2]
 
 
-@pytest.mark.parametrize("frames", [("x_optical", "x_optical"), ("", "")])
-def test_drivers_left_with_the_same_or_no_frame_names_give_no_pose(tmp_path, frames):
-    streams = [depth(NEAR, frames[0]), depth(TOUCH, frames[1], 390), color("/l515/color/image_raw", frames[0])]
-    rig, frame, health = first_frame(make_recording(tmp_path / "take", streams))
-    assert rig.T_proximity_tactile is None
-    assert "calibrate the alignment" in health.message
-    assert frame.proximity_color.any() == bool(frames[0])  # no frame is not the same frame
-
-
 def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_depth(tmp_path, tactune):
     names = ("/cam1/depth/image", "/cam2/depth/image", "/cam2/color/image_raw")
     streams = [depth(names[0], "b_optical"), depth(names[1], "a_optical", 390), color(names[2], "c_optical")]
@@ -320,11 +305,6 @@ def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_dep
         frame = source.next_frame()
         assert (frame.proximity_depth[0, 0], frame.tactile_depth[0, 0]) == (390, 400)
         assert (frame.proximity_color == 90).all()
-
-
-def test_depth_of_the_proximity_camera_alone_is_told(tmp_path):
-    with pytest.raises(SourceError, match=r"proximity camera only.*--topics"):
-        first_frame(make_recording(tmp_path / "take", [depth("/proximity/depth/image", "a_optical")]))
 
 
 def rvl(image):
