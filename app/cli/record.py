@@ -97,15 +97,23 @@ def convert(
     topics: TopicsOption = None,
     preset: _Preset = None,
     frames: FrameCount = None,
+    share: Annotated[
+        bool,
+        typer.Option(
+            "--share", help="Into .mcap: also the patch and the findings of each frame, by --preset or as tactune run."
+        ),
+    ] = False,
 ) -> None:
     """Convert a recording, or the calibration of a preset or recording, to files of other tools."""
     kind = to or _kind_of(target)
+    if share and kind != "mcap":
+        raise ExportError(f"--share writes one .mcap with all that belongs to a recording; {target} is none")
     if kind != "folder":
         refuse_existing(target)
     if kind in _CALIBRATIONS:
         _convert_calibration(with_topics(source, topics), target, kind, preset)
     else:
-        _convert_recording(with_topics(source, topics), target, kind, preset, frames)
+        _convert_recording(with_topics(source, topics), target, kind, preset, frames, share)
 
 
 def _kind_of(target: Path) -> str:
@@ -141,14 +149,19 @@ def _convert_calibration(source: str, target: Path, kind: str, preset: str | Non
     say(f"wrote {target}")
 
 
-def _convert_recording(source: str, target: Path, kind: str, preset: str | None, frames: int | None) -> None:
+def _convert_recording(
+    source: str, target: Path, kind: str, preset: str | None, frames: int | None, share: bool
+) -> None:
     """Write the frames of a source, without loss."""
     from ...core.output.hdf5 import export_hdf5
     from ...core.output.writer import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
-    from ...core.sources.presets import load_preset
+    from ...core.sources.presets import default_preset, load_preset
+    from ...core.tuning.share import share_mcap
 
+    if share and preset is None:
+        preset = default_preset(source)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(source) as opened, CliProgress() as progress, stop_on_signals() as stopped:
         if kept is None and isinstance(opened, McapSource):
@@ -160,7 +173,9 @@ def _convert_recording(source: str, target: Path, kind: str, preset: str | None,
             progress.frames(round(share * 100), 100)
 
         untouched = None if kind == "folder" else _untouched(kept, preset, opened)
-        if kind == "mcap":
+        if kept is not None and share:
+            count = share_mcap(opened, target, frames, kept, untouched, progress=show, exclusive=True)
+        elif kind == "mcap":
             count = export_mcap(opened, target, frames, preset=kept, untouched=untouched, progress=show, exclusive=True)
         elif kind == "hdf5":
             count = export_hdf5(opened, target, frames, untouched=untouched, progress=show, exclusive=True)

@@ -55,8 +55,6 @@ Record = dict[str, Any]
 
 #: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
-#: Frames are examined for findings once in this many; the others carry those of the last one.
-_EXAMINED_EVERY = 15
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
@@ -158,7 +156,7 @@ def _process(
     tilt: Estimator | None,
 ) -> tuple[int, list[Record]]:
     """Process, save and print up to ``frames`` frames; return their number and what the summary is made of."""
-    from ...core.tuning.advice.findings import Examiner
+    from ...core.tuning.advice.findings import EXAMINED_EVERY, Examiner
 
     records: list[Record] = []
     done, scored = 0, False
@@ -173,7 +171,7 @@ def _process(
             look(frame)
             save(patch, frame)
             if lines == "json":
-                if done % _EXAMINED_EVERY == 0:
+                if done % EXAMINED_EVERY == 0:
                     found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)
                 estimate = {} if tilt is None else {"tilt": tilt(patch, frame).record()}
                 record = _patch_record(patch, frame) | scores | estimate

@@ -13,6 +13,7 @@ from ...core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
 from ...core.output.hdf5 import export_hdf5
 from ...core.output.writer import export_mcap
 from ...core.sources.registry import open_source
+from ...core.tuning.share import share_mcap
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.messages import Severity
 from ..context import TASK, Context
@@ -20,7 +21,7 @@ from ..worker.jobs import Job, Progress, Work
 from ..worker.results import Result
 
 _PATCH = ["Patch, PLY (*.ply)", "Patch, NumPy (*.npz)", "Patch, table (*.csv)"]
-_RECORDING = ["Recording (*.mcap)", "Recording, HDF5 (*.h5)"]
+_RECORDING = ["Recording with preset, untouched frame, patches and findings (*.mcap)", "Recording, HDF5 (*.h5)"]
 _CALIBRATIONS = {
     ".urdf": ("Calibration, URDF (*.urdf)", "urdf"),
     ".launch.yaml": ("Calibration, static transforms (*.launch.yaml)", "ros"),
@@ -107,10 +108,12 @@ class Export(QObject):
                 source.seek(first)
                 if path.suffix.lower() == ".h5":
                     count = export_hdf5(source, path, end - first, untouched=untouched, progress=progress)
-                else:
+                elif result.patch is None:  # this preset finds none with this rig
                     count = export_mcap(
                         source, path, end - first, preset=preset, untouched=untouched, progress=progress
                     )
+                else:
+                    count = share_mcap(source, path, end - first, preset, untouched, progress=progress)
             return f"Frames {first + 1} to {end} ({count}) written to {path}."
 
         return work

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from ..model.loading import untouched_bytes
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress, frames_to_write
-from ..sources.mcap.messages import CAMERA_INFO, IMAGE, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic
+from ..sources.mcap.messages import CAMERA_INFO, IMAGE, POINT_CLOUD, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic
 from .bag import Bag, Message
 from .messages import (
     POSE_TOPICS,
@@ -33,6 +33,9 @@ from .messages import (
     static_transforms,
     text,
 )
+
+#: Patch and findings of a frame, as messages.
+Results = Callable[[SensorFrame], Mapping[Topic, bytes]]
 
 #: Memory limit of the queue: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20
@@ -75,6 +78,8 @@ class SessionWriter:
         A frame of the untouched membrane, kept in the file.
     poses : bool
         Whether there may be poses of an object.
+    results : callable, optional
+        Returns patch and findings of each frame; called on the writing thread.
     queue_bytes : int
         Memory limit of the queue, bytes; one frame is always accepted.
 
@@ -93,9 +98,10 @@ class SessionWriter:
         frame_rate_hz: float = 30.0,
         untouched: SensorFrame | None = None,
         poses: bool = False,
+        results: Results | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
-        self._rig, self._has_poses = rig, poses
+        self._rig, self._has_poses, self._results = rig, poses, results
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
         attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
@@ -167,6 +173,7 @@ class SessionWriter:
     def _topics(self) -> dict[str, str]:
         topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
         topics |= POSE_TOPICS if self._has_poses else {}
+        topics |= {Topic.PATCH: POINT_CLOUD, Topic.FINDINGS: TEXT} if self._results is not None else {}
         for stream in self._streams.values():
             topics[stream.topic] = IMAGE
             if stream.lens is not None:
@@ -242,6 +249,8 @@ class SessionWriter:
             messages.append((topic, stamp_ns, stream.parts(image, frame.sequence, stamp_ns)))
             if stream.lens is not None:
                 messages.append((topic.camera_info, stamp_ns, (stamped(stream.lens, stamp_ns),)))
+        if self._results is not None:
+            messages += [(topic, proximity_ns, (data,)) for topic, data in self._results(frame).items()]
         self._bag.write(frame.sequence, log_ns, messages)
         with self._changed:
             self._first_ns = self._first_ns if self._frames else log_ns
@@ -262,6 +271,7 @@ def export_mcap(
     *,
     preset: Preset | None = None,
     untouched: SensorFrame | None = None,
+    results: Results | None = None,
     progress: Progress | None = None,
     exclusive: bool = False,
 ) -> int:
@@ -275,6 +285,7 @@ def export_mcap(
                 preset=preset,
                 frame_rate_hz=source.frame_rate_hz,
                 untouched=source.untouched() if untouched is None else untouched,
+                results=results,
             ) as writer:
                 for frame in frames_to_write(source, frames, progress):
                     if not writer.put(frame, wait=True):

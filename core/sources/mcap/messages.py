@@ -56,6 +56,7 @@ class Topic(StrEnum):
     PATCH = "/contact/patch"
     AREA = "/contact/area_mm2"
     DOUBT = "/contact/doubt"
+    FINDINGS = "/contact/findings"
     TILT = "/contact/tilt"
     TILT_SIGMA = "/contact/tilt_sigma"
     PROXIMITY_CLOUD = "/proximity/points"

@@ -298,6 +298,10 @@ CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
 )  # fmt: skip
 
 
+#: Whoever writes the findings of every frame examines one in this many; the others carry its findings.
+EXAMINED_EVERY: Final = 15
+
+
 class Examiner:
     """Runs all checks on frames of one rig. For one thread at a time."""
 
