@@ -13,7 +13,7 @@ from ..basics.theme import text_font
 
 #: Pixels between title and number.
 _GAP = 8
-_MAX_LINES = 2
+_MAX_LINES = 3
 
 
 class CloudHeader(QWidget):
