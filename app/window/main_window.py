@@ -235,7 +235,7 @@ class MainWindow(QMainWindow):
         self.comparison.runningChanged.connect(self._show_beside)
         self.views.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
-        self.strip.widthHintChanged.connect(self._send_wanted)
+        self.strip.wantedChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.maskShown.connect(self._send_wanted)
         self.eyedropper.started.connect(self._show_color_image)
@@ -377,7 +377,7 @@ class MainWindow(QMainWindow):
             Wanted(
                 clouds=self.views.visible_clouds(),
                 color_by=self.views.chosen_colors(),
-                strip=not self.strip.isHidden(),
+                images=frozenset() if self.strip.isHidden() else self.strip.shown_images(),
                 strip_width=self.strip.width_hint(),
                 shows_mask=self.panel.show_mask.isChecked(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),

@@ -121,14 +121,14 @@ class FrameProcessor:
         finders = self._find_compared(frame, info, compared)
         started = time.perf_counter()
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
-            wanted = replace(wanted, strip=False)
+            wanted = replace(wanted, images=frozenset())
         if playback.playing and not held:
             wanted = self._due(wanted.while_running(), started)
         if compared is None:
             rendered, both = self._render(self._present, frame, info.rig, wanted), None
         else:
             both = self._render_compared(compared, finders, frame, info.rig, wanted)
-            hidden = replace(wanted, clouds=frozenset(), strip=False)
+            hidden = replace(wanted, clouds=frozenset(), images=frozenset())
             shown = [side.rendered for side in (both.a, both.b) if side.side.follows]
             rendered = shown[0] if shown else self._render(self._present, frame, info.rig, hidden)
         render_ms = 1e3 * (time.perf_counter() - started)
@@ -161,7 +161,7 @@ class FrameProcessor:
         else:
             self._counted_s = now_s
         if now_s - self._strip_s < STRIP_INTERVAL_S:
-            return replace(wanted, strip=False)
+            return replace(wanted, images=frozenset())
         self._strip_s = now_s
         return wanted
 

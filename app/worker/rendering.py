@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
@@ -43,6 +43,7 @@ def draw_strip(
     depth_range_m: tuple[float, float],
     *,
     accepted: float,
+    images: Collection[str],
     width_hint: int,
     shows_mask: bool = True,
 ) -> RenderedStrip:
@@ -64,7 +65,7 @@ def draw_strip(
         expected_m, measured_m = (
             np.ascontiguousarray(image[every]) for image in (patch.aligned.expected_m, patch.aligned.measured_m)
         )
-    images = StripImages(
+    sampled = StripImages(
         color=color,
         mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled and shows_mask else None,
         proximity_m=expected_m,
@@ -77,7 +78,7 @@ def draw_strip(
         stride=stride,
     )
     share = masked_share(frame.proximity_color, preset.mask) if preset.mask.enabled else None
-    return replace(render_strip(images), masked_share=share)
+    return replace(render_strip(sampled, images), masked_share=share)
 
 
 def aligned_color(
@@ -189,7 +190,7 @@ class Renderer:
             if name in wanted.clouds
         }
         strip = None
-        if wanted.strip:
+        if wanted.images:
             strip = draw_strip(
                 frame,
                 patch,
@@ -197,6 +198,7 @@ class Renderer:
                 rig,
                 tactile_range_m,
                 accepted=scene.accepted,
+                images=wanted.images,
                 width_hint=wanted.strip_width,
                 shows_mask=wanted.shows_mask,
             )

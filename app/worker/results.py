@@ -18,12 +18,12 @@ from ...core.model.patch import Doubt, Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched
 from ...core.sources.base import FrameSource, Health, Progress
+from ...widgets.images.strip_render import IMAGES, RenderedStrip
 from ..document.comparison import Side
 from .playback import PlaybackState
 
 if TYPE_CHECKING:
     from ...widgets.clouds.cloud_data import DepthCloud
-    from ...widgets.images.strip_render import RenderedStrip
 
 
 class _AtRest(FrameSource):
@@ -75,7 +75,8 @@ class ColorBy(StrEnum):
 class Wanted:
     """What the window shows now; nothing else is drawn.
 
-    ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
+    ``images`` are the names of those that are shown, ``strip_width`` is the width of one of them on the screen in
+    pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
     ``words`` counts the points of both cameras, says why a patch is empty and measures the range of the depth colours;
     else those of an earlier frame stay.
@@ -83,7 +84,7 @@ class Wanted:
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
     color_by: ColorBy = ColorBy.CONTACT
-    strip: bool = True
+    images: frozenset[str] = frozenset(IMAGES)
     strip_width: int = 0
     shows_mask: bool = True
     histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})

@@ -112,7 +112,7 @@ def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
     assert f"{100 * share:.1f} % of the colour image" in panel.masked_share.text()
 
     def tinted():
-        corner = window.result.rendered.strip.panes[0][4:8, 4:8, :3]
+        corner = window.result.rendered.strip.panes["color"][4:8, 4:8, :3]
         return bool((corner != MEMBRANE_RGB[::-1]).any(axis=2).all())
 
     assert tinted()

@@ -138,7 +138,7 @@ def on_canvas(window, name, place):
     """Where a place is seen in a view, in pixels of its canvas."""
     shown = canvas(window, name)
     u, v, _ = window.views.views[name].camera().project([place], shown.width(), shown.height())[0]
-    return QPoint(int(u), int(v))
+    return QPoint(round(u), round(v))
 
 
 def place_of(window, name, u, v):

@@ -51,7 +51,7 @@ def test_stops_at_the_end_without_a_loop(watched, qtbot, monkeypatch):
 
 
 def test_only_what_is_looked_at_is_drawn(watched, qtbot):
-    watched.worker.set_wanted(Wanted(clouds=frozenset({CloudName.PATCH}), strip=False, histograms=frozenset()))
+    watched.worker.set_wanted(Wanted(clouds=frozenset({CloudName.PATCH}), images=frozenset(), histograms=frozenset()))
     watched.open(FakeSource(length=1))
     qtbot.waitUntil(lambda: watched.last is not None)
     rendered = watched.last.rendered

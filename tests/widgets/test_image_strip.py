@@ -37,7 +37,7 @@ def rendered(height=HEIGHT, width=WIDTH, hint=0):
 def strip(qtbot, qapp):
     widget = ImageStrip()
     qtbot.addWidget(widget)
-    widget.resize(1600, 260)
+    widget.resize(1600, 800)
     widget.show()
     qtbot.waitExposed(widget)
     widget.set_images(rendered(hint=widget.width_hint()))

@@ -32,7 +32,7 @@ def rgb(pane):
 def test_depth_has_the_colors_of_the_table_and_none_is_flat():
     proximity = images().proximity_m.copy()
     proximity[5:9, 7:13] = np.nan
-    shown = rgb(render_strip(images(proximity_m=proximity, depth_range_m=(0.2, 0.263))).panes[1])
+    shown = rgb(render_strip(images(proximity_m=proximity, depth_range_m=(0.2, 0.263))).panes["proximity"])
     lut = depth_lut()[:, :3].astype(int)
     np.testing.assert_array_equal(shown[0, 0], lut[1])
     np.testing.assert_array_equal(shown[0, -1], lut[255])
@@ -46,7 +46,7 @@ def test_depth_has_the_colors_of_the_table_and_none_is_flat():
 def test_the_band_is_one_color_and_nothing_else_has_it(tolerance):
     scene = images(tolerance=tolerance)
     rendered = render_strip(scene)
-    shown = rgb(rendered.panes[3])
+    shown = rgb(rendered.panes["difference"])
     band = difference_lut(tolerance, rendered.difference_limit)[128, :3]
     in_band = (shown == band).all(axis=2)
     quantum = rendered.difference_limit / 127
@@ -59,7 +59,7 @@ def test_contact_is_outlined_in_every_pane():
     contact = np.zeros((HEIGHT, WIDTH), bool)
     contact[10:30, 20:50] = True
     plain, outlined = render_strip(images()), render_strip(images(contact=contact))
-    for before, after in zip(plain.panes, outlined.panes, strict=True):
+    for before, after in zip(plain.panes.values(), outlined.panes.values(), strict=True):
         changed = (before != after).any(axis=2)
         assert (rgb(after)[changed] == CONTACT_RGB).all()
         assert changed[10, 20:50].all()
@@ -77,5 +77,5 @@ def test_a_small_pane_gets_every_nth_pixel(hint):
     }
     full, small = render_strip(whole), render_strip(images(**parts, stride=stride))
     assert (small.size, small.stride) == ((WIDTH, HEIGHT), stride)
-    for large, reduced in zip(full.panes, small.panes, strict=True):
+    for large, reduced in zip(full.panes.values(), small.panes.values(), strict=True):
         np.testing.assert_array_equal(reduced, large[::stride, ::stride])

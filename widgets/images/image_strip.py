@@ -67,7 +67,7 @@ class ImageStrip(QWidget):
     hovered = pyqtSignal(int, int)  # u, v: the proximity pixel pointed at; -1, -1 for none
     clicked = pyqtSignal(str, int, int, object)  # key of the pane, u, v, modifiers
     regionEdited = pyqtSignal(object, int)  # region of interest (left, top, width, height), gesture
-    widthHintChanged = pyqtSignal(int)  # another resolution is needed; a paused frame has to be rendered again
+    wantedChanged = pyqtSignal()  # other images or another resolution are needed; a paused frame is rendered again
     wipeDragged = pyqtSignal(float)  # share: the wipe was dragged in one of the images
     pickingDone = pyqtSignal()  # *Done* was pressed in the banner
 
@@ -81,7 +81,7 @@ class ImageStrip(QWidget):
         self._legend_key: tuple[object, ...] = ()
         self._fitted = True
         self._linking = False
-        self._hint = 0
+        self._hint: tuple[int, frozenset[str]] = (0, frozenset())
         self._two_cameras = True
         self._wipe: Wipe | None = None
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -111,12 +111,12 @@ class ImageStrip(QWidget):
 
     def set_images(self, rendered: RenderedStrip | None, right: RenderedStrip | None = None) -> None:
         """Show a rendered frame, or with None that there is none; ``right`` is shown right of the wipe."""
-        for index, pane in enumerate(self.panes.values()):
+        for name, pane in self.panes.items():
             if rendered is None:
                 pane.set_pixels(None, self._size, 1)
-            else:
-                pixels = None if right is None else right.panes[index]
-                pane.set_pixels(rendered.panes[index], rendered.size, rendered.stride, pixels)
+            elif name in rendered.panes:  # others are hidden
+                pixels = None if right is None else right.panes.get(name)
+                pane.set_pixels(rendered.panes[name], rendered.size, rendered.stride, pixels)
             pane.set_message(_EMPTY if rendered is None else "")
         if rendered is None:
             return
@@ -134,7 +134,7 @@ class ImageStrip(QWidget):
             pane.set_wipe(wipe)
 
     def right_of_wipe(self, u: int) -> bool:
-        line = self.panes["color"].wipe_line
+        line = self._shown().wipe_line
         return bool(line.isVisible() and u > line.value())
 
     def set_two_cameras(self, two: bool) -> None:
@@ -192,6 +192,13 @@ class ImageStrip(QWidget):
         panes = self.panes.values()
         shown = [pane for pane in panes if not pane.isHidden()] or panes
         return max(1, round(max(pane.scale() for pane in shown) * self._size[0]))
+
+    def _shown(self) -> ImagePane:
+        """Return the first image that is shown; a hidden one has no size of its own."""
+        return next((pane for pane in self.panes.values() if not pane.isHidden()), self.panes["color"])
+
+    def shown_images(self) -> frozenset[str]:
+        return frozenset(name for name, pane in self.panes.items() if not pane.isHidden())
 
     def reset_view(self) -> None:
         self._fitted = True
@@ -263,7 +270,7 @@ class ImageStrip(QWidget):
 
     def _zoom(self, factor: float) -> None:
         self._fitted = False
-        box = self.panes["color"].box
+        box = self._shown().box
         box.scaleBy((factor, factor), center=self._pixel if self._pixel != (-1, -1) else None)
 
     def _region_edited(self, source: str, rectangle: Rectangle, gesture: int) -> None:
@@ -273,10 +280,10 @@ class ImageStrip(QWidget):
         self.regionEdited.emit(rectangle, gesture)
 
     def _check_hint(self) -> None:
-        hint = self.width_hint()
+        hint = self.width_hint(), self.shown_images()
         if hint != self._hint:
             self._hint = hint
-            self.widthHintChanged.emit(hint)
+            self.wantedChanged.emit()
 
     def _show_legends(self, rendered: RenderedStrip) -> None:
         key = (rendered.depth_range_m, rendered.tolerance, rendered.difference_limit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,6 +20,9 @@ from ..basics.colormaps import (
     difference_lut,
     tint,
 )
+
+#: Names of the images.
+IMAGES: Final = ("color", "proximity", "tactile", "difference")
 
 _Packed = npt.NDArray[np.uint32]
 
@@ -49,9 +53,9 @@ class StripImages:
 
 @dataclass(frozen=True, eq=False)
 class RenderedStrip:
-    """The strip's panes, (h, w, 4) as ``QImage.Format_RGB32``; ``size`` is that of the whole image."""
+    """The images by name, (h, w, 4) as ``QImage.Format_RGB32``; ``size`` is that of the whole image."""
 
-    panes: tuple[Uint8Array, ...]
+    panes: dict[str, Uint8Array]
     size: tuple[int, int]
     stride: int
     depth_range_m: tuple[float, float]
@@ -60,21 +64,25 @@ class RenderedStrip:
     masked_share: float | None = None
 
 
-def render_strip(images: StripImages) -> RenderedStrip:
+def render_strip(images: StripImages, wanted: Collection[str] = IMAGES) -> RenderedStrip:
+    """Draw the images whose names are wanted."""
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
     depths, differences = _pack_lut(depth_lut()), _pack_lut(difference_lut(round(images.tolerance, 6), limit))
-    packed = (
-        _colored(images.color, images.mask_overlay),
-        np.take(depths, _depth_index(images.proximity_m, images.depth_range_m)),
-        np.take(depths, _depth_index(images.tactile_m, images.depth_range_m)),
-        np.take(differences, difference_index(images.relative, limit)),
-    )
+    draw: dict[str, Callable[[], _Packed]] = {
+        "color": lambda: _colored(images.color, images.mask_overlay),
+        "proximity": lambda: np.take(depths, _depth_index(images.proximity_m, images.depth_range_m)),
+        "tactile": lambda: np.take(depths, _depth_index(images.tactile_m, images.depth_range_m)),
+        "difference": lambda: np.take(differences, difference_index(images.relative, limit)),
+    }
+    packed = {name: draw[name]() for name in IMAGES if name in wanted}
     if images.contact is not None:
         outline = _outline(images.contact)
-        for pane in packed:
+        for pane in packed.values():
             pane[outline] = _pack_rgb(CONTACT_RGB)
     return RenderedStrip(
-        panes=tuple(np.ascontiguousarray(pane).view(np.uint8).reshape(*pane.shape, 4) for pane in packed),
+        panes={
+            name: np.ascontiguousarray(pane).view(np.uint8).reshape(*pane.shape, 4) for name, pane in packed.items()
+        },
         size=images.size,
         stride=images.stride,
         depth_range_m=images.depth_range_m,
