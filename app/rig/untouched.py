@@ -9,7 +9,7 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.errors import FrameError, PresetError, counted
+from ...core.errors import FrameError, PresetError, SourceError, counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import (
@@ -35,6 +35,15 @@ class UntouchedStep(Gather):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context, push_button("&Capture", "Average the next frames; nothing may touch the membrane"))
+
+    def at_hand(self) -> list[SensorFrame]:
+        """Return the untouched frame of a recording that has one, unless the preset has one already."""
+        assert self.info is not None
+        own: SensorFrame | None = None
+        if self._document.preset.untouched is None and self.info.at_rest is not None:
+            with suppress(SourceError):  # it cannot be read
+                own = self.info.at_rest.untouched()
+        return [] if own is None else [own]
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         store = self._document.untouched_store
