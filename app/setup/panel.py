@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 from PyQt6.QtCore import Qt, QTimer
@@ -11,7 +12,10 @@ from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QScrollArea, QStack
 
 from ...core.errors import counted
 from ...core.preset import Preset
+from ...core.rig.untouched import place_at_rest
 from ...core.rig.verdict import Verdict
+from ...core.sources.base import part_of
+from ...core.sources.registry import open_source, opens_by_name
 from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push_button, text_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
@@ -19,6 +23,7 @@ from ..context import Context
 from ..rig.gather import OTHER_SOURCE, Gather
 from ..rig.noise import NoiseStep
 from ..rig.untouched import UntouchedStep
+from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
 from .steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
 
@@ -52,6 +57,11 @@ def _unbiased(preset: Preset) -> str:
     if noise is None or noise.bias_from == "unknown":
         return ""
     return f"Bias {1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, from {noise.bias_from}."
+
+
+def _find_rest(name: str, progress: Progress) -> int:
+    with open_source(name, part_of(progress, 0, 2)) as source:
+        return place_at_rest(source, part_of(progress, 1, 2))
 
 
 class StepRow(QFrame):
@@ -135,6 +145,10 @@ class SetUpPanel(QWidget):
         self._running = self._waiting = False
         self._again: set[StepRow] = set()
         self._chosen: StepRow | None = None
+        self._place: int | None = None  # in a recording, where nothing touches the membrane
+        self._search = Job(self)
+        self._search.done.connect(self._found_rest)
+        self._search.failed.connect(lambda _: self._found_rest(None))
         document = context.document
         bias = BiasStep(context)
         self.source = StepRow(
@@ -213,6 +227,7 @@ class SetUpPanel(QWidget):
         if self._waiting:
             self._context.worker.cancel_open()
         self._running = self._waiting = False
+        self._search.cancel()
         for row in self.rows:
             if row.work is not None:
                 row.work.stop()
@@ -221,6 +236,7 @@ class SetUpPanel(QWidget):
     def close(self) -> bool:
         """Take no frames any more."""
         self._running = False
+        self._search.stop()
         for row in self.rows:
             if row.work is not None:
                 row.work.close_down()
@@ -249,9 +265,32 @@ class SetUpPanel(QWidget):
         elif row.work is None:
             self._waiting = True  # for the first frame
             self._context.sourceRequested.emit(_CAMERAS)
-        else:
+        elif row not in (self.untouched, self.noise) or self._at_rest(self._info):
             row.work.begin()
         self._show()
+
+    def _at_rest(self, info: SourceInfo | None) -> bool:
+        """Whether the source is where nothing touches the membrane; in a recording, go there and come again."""
+        result, worker = self._context.result, self._context.worker
+        if info is None or result is None or info.length is None or not opens_by_name(info.name):
+            return True
+        if info.name.startswith("sim:"):
+            return True  # it takes its object away
+        if self._place is None:
+            self._search.start(partial(_find_rest, info.name))
+            return False
+        if result.playback.index == self._place:
+            return True
+        self._waiting = True
+        worker.pause()
+        worker.seek(self._place)
+        return False
+
+    def _found_rest(self, place: int | None) -> None:
+        if place is None:
+            self._running = False
+        self._place = place
+        self._advance()
 
     def _step_ended(self, found: bool) -> None:
         row = next(row for row in self.rows if row.work is self.sender())
@@ -282,7 +321,8 @@ class SetUpPanel(QWidget):
 
     def _opened(self, info: SourceInfo) -> None:
         """Begin again: what other cameras or another recording showed does not hold here."""
-        self._info, self._again, self._chosen = info, set(), None
+        self._info, self._again, self._chosen, self._place = info, set(), None, None
+        self._search.cancel()
         for row in self.rows:
             row.skipped = False
             if row.work is not None:
@@ -305,8 +345,8 @@ class SetUpPanel(QWidget):
         self.headline.setText(self._headline(following))
 
     def _headline(self, following: StepRow | None) -> str:
-        if self._waiting:
-            return "Looking for cameras."
+        if self._waiting or self._search.busy:
+            return "Looking for cameras." if self._info is None else "Looking for the untouched membrane."
         preset = self._context.document.preset
         if following is None:
             done = "Save the preset; its untouched frame is a second file beside it."

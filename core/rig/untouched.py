@@ -27,6 +27,9 @@ UNTOUCHED_FRAMES: Final = 15
 #: (2 mm at 300 mm) and by more than a number of robust standard deviations of all tiles, in more than a share of them.
 TILE_PX: Final = 16
 _MOVED_SHARE, _MOVED_SIGMAS, _MOVED_TILES = 0.0067, 5.0, 0.005
+#: Most places of a recording that are looked at, fewest that follow each other at rest, share of the tiles that may
+#: differ between two of them, and share of the largest mean depth that counts as equally far.
+_PLACES, _STILL_PLACES, _MOVING_TILES, _AS_FAR = 60, 3, 0.03, 0.998
 #: Size limit of the file. Images of 1280 x 720 with colour take 15 MB.
 _MAX_BYTES: Final = 100_000_000
 _REMEDY: Final = "capture the untouched frame again"
@@ -153,6 +156,33 @@ def frames_to_average(
         return
     with source.with_object_away(progress) as away:
         yield (away.read(number % away.length) for number in range(count))
+
+
+def place_at_rest(source: FrameSource, progress: Progress) -> int:
+    """Return the place in a recording from which on the membrane stays still and farthest from the cameras.
+
+    What touches it pushes it nearer in the mean, although the membrane around it bulges out.
+    """
+    length = source.length or 0
+    places = np.unique(np.linspace(0, max(length - 1, 0), min(length, _PLACES)).astype(int))
+    tiles = np.zeros((len(places), 1))
+    for number, place in enumerate(places):
+        progress(number / len(places), "Looking for the untouched membrane")
+        source.seek(int(place))
+        frame = source.next_frame()
+        seen = np.zeros(1) if frame is None else np.nan_to_num(tile_medians(frame.tactile_depth))
+        tiles = np.resize(tiles, (len(places), len(seen))) if number == 0 else tiles
+        tiles[number] = seen
+    mean = tiles.mean(axis=1)
+    changes = np.abs(np.diff(tiles, axis=0)) > _MOVED_SHARE * np.maximum(tiles[:-1], 1.0)
+    runs = [(0, 0)]  # first place, and number of places that follow without movement
+    for number, moves in enumerate(changes.mean(axis=1) > _MOVING_TILES):
+        start, count = runs[-1]
+        runs = [*runs, (number + 1, 0)] if moves else [*runs[:-1], (start, count + 1)]
+    still = [run for run in runs if run[1] >= _STILL_PLACES] or [(int(np.argmax(mean)), 0)]
+    farthest = max(mean[start] for start, _ in still)
+    start, count = max((run for run in still if mean[run[0]] >= _AS_FAR * farthest), key=lambda run: run[1])
+    return int(places[start + min(1, count)])
 
 
 def tile_medians(counts: Uint16Array) -> Float64Array:

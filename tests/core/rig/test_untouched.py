@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fakes import FakeSource
+from fakes import FakeSource, tiny_frame
 from rigs import one_place_rig
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
@@ -20,6 +20,7 @@ from tactune.core.rig.untouched import (
     find_untouched,
     kept_untouched,
     load_untouched,
+    place_at_rest,
     save_untouched,
 )
 from tactune.core.sources.mcap.source import McapSource
@@ -186,3 +187,18 @@ def test_a_recording_holds_the_untouched_frame_of_its_preset(kept, tmp_path):
             assert not found.warnings
     with pytest.raises(PresetError, match="not the one"):
         load_untouched(record_of(preset), bare)
+
+
+def test_a_recording_is_searched_for_its_longest_rest():
+    """A release, a rest, a press that bulges the membrane around it, and a press that is held longer than the rest."""
+
+    def make(index, rig):
+        frame = tiny_frame(index, rig)
+        pushed = 20 * (10 - index) if index < 10 else 0 if index < 30 else 20 * (index - 30) if index < 40 else 200
+        depth = frame.tactile_depth.astype(np.int32)
+        depth[:32, :32] -= pushed
+        depth[32:] += pushed // 10
+        return replace(frame, tactile_depth=depth.astype(np.uint16))
+
+    place = place_at_rest(FakeSource(100, make=make), lambda share, words: None)
+    assert 9 <= place <= 15
