@@ -64,7 +64,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
             "export",
             "&Export…",
             "Ctrl+E",
-            "Save patch, marked frames or calibration for other tools",
+            "Save patch, marked frames, their views or calibration for other tools",
             "tray-arrow-down",
         ),
         _LINE,

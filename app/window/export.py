@@ -1,4 +1,4 @@
-"""Export of what the window shows: the patch, the frames between the marks, or the calibration, by one dialog."""
+"""Export of what the window shows: the patch, frames or views between the marks, or the calibration, by one dialog."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
+from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import ExportError, counted
 from ...core.output.calibration_files import export_calibration
@@ -19,9 +20,12 @@ from ...widgets.basics.messages import Severity
 from ..context import TASK, Context
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import Result
+from . import animation
+from .animation import Animation
 
 _PATCH = ["Patch, PLY (*.ply)", "Patch, NumPy (*.npz)", "Patch, table (*.csv)"]
 _RECORDING = ["Recording with preset, untouched frame, patches and findings (*.mcap)", "Recording, HDF5 (*.h5)"]
+_ANIMATION = ["Animation of the views (*.gif)", "Animation of the views (*.mp4)"]
 _CALIBRATIONS = {
     ".urdf": ("Calibration, URDF (*.urdf)", "urdf"),
     ".launch.yaml": ("Calibration, static transforms (*.launch.yaml)", "ros"),
@@ -32,9 +36,9 @@ _CALIBRATIONS = {
 class Export(QObject):
     """Exports on a thread; the chosen filter, or the end of a typed name, decides what is written."""
 
-    def __init__(self, context: Context, bar: ProgressCard) -> None:
+    def __init__(self, context: Context, bar: ProgressCard, views: QWidget) -> None:
         super().__init__(context)
-        self._context = context
+        self._context, self._animation = context, Animation(context, views)
         self._job = Job(self)
         self._job.progress.connect(bar.show_share)
         self._job.busyChanged.connect(bar.setVisible)
@@ -51,7 +55,7 @@ class Export(QObject):
         if result is None:
             return
         calibrations = [title for title, _ in _CALIBRATIONS.values()]
-        recording = [] if result.source.length is None else _RECORDING
+        recording = [] if result.source.length is None else _RECORDING + _ANIMATION
         filters = [*([] if result.patch is None else _PATCH), *recording, *calibrations]
         suggestion = f"frame_{result.frame_number:06d}"
         self._context.dialogs.save_file("export", "Export", suggestion, filters, partial(self._export, result))
@@ -62,7 +66,10 @@ class Export(QObject):
 
     def _export(self, result: Result, path: Path) -> None:
         self._context.messages.clear_subject(TASK)
-        self._job.start(self._work(result, path))
+        try:
+            self._job.start(self._work(result, path))
+        except ExportError as error:
+            self._job.failed.emit(str(error))
 
     def _work(self, result: Result, path: Path) -> Work:
         name = path.name.lower()
@@ -71,12 +78,21 @@ class Export(QObject):
             return self._calibration(result, path, kind)
         if path.suffix.lower() in (".mcap", ".h5"):
             return self._recording(result, path)
+        if path.suffix.lower() in animation.SUFFIXES:
+            frames = self._frames(result)
+            return self._animation.work(path, range(*frames), result.source.frame_rate_hz)
         return self._patch(result, path)
+
+    def _frames(self, result: Result) -> tuple[int, int]:
+        """Return the first frame between the marks, or of all, and the one behind the last."""
+        if result.source.length is None:
+            raise ExportError("a live source is recorded with Record (F9), not exported")
+        return self._context.trim or (0, result.source.length)
 
     def _patch(self, result: Result, path: Path) -> Work:
         def work(_: Progress) -> str:
             if path.suffix.lower() not in SUFFIXES:
-                known = ", ".join((*SUFFIXES, ".mcap", ".h5", *_CALIBRATIONS))
+                known = ", ".join((*SUFFIXES, ".mcap", ".h5", *animation.SUFFIXES, *_CALIBRATIONS))
                 raise ExportError(f"{path.name} does not say what to export; choose one of {known}")
             if result.patch is None:
                 raise ExportError("this frame has no patch")
@@ -98,12 +114,9 @@ class Export(QObject):
     def _recording(self, result: Result, path: Path) -> Work:
         """Return the work that reads the frames between the marks from the file a second time."""
         preset, untouched = self._context.document.preset, self._context.worker.recorder.untouched
-        length = result.source.length
-        first, end = self._context.trim or (0, length or 0)
+        first, end = self._frames(result)
 
         def work(progress: Progress) -> str:
-            if length is None:
-                raise ExportError("a live source is recorded with Record (F9), not exported")
             with open_source(result.source.name, progress) as source:
                 source.seek(first)
                 if path.suffix.lower() == ".h5":

@@ -3,7 +3,10 @@
 import csv
 import json
 
+import cv2
+import numpy as np
 import pytest
+from PIL import Image
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
@@ -20,6 +23,7 @@ from hands import (
     type_path,
 )
 from tactune.app.document.keeping import Autosave
+from tactune.app.window.animation import _pixels
 from tactune.core.sources.presets import load_preset
 
 
@@ -52,6 +56,42 @@ def test_export_writes_a_readable_file(window, qtbot, tmp_path):
     count = len(window.result.patch.points)
     assert count > 0
     assert len(list(csv.reader(path.read_text().splitlines()))) == count + 1
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_an_animation_shows_the_views_of_the_marked_frames(window, qtbot, tmp_path, suffix):
+    window.worker.pause()
+    window.worker.seek(4)
+    qtbot.waitUntil(lambda: at_rest(window, 4))
+    window.context.trim = (1, 4)
+    path = tmp_path / f"views{suffix}"
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+    type_path(qtbot, path)
+    qtbot.waitUntil(lambda: any(str(path) in sentence for sentence in window.messages.sentences()))
+    qtbot.waitUntil(lambda: at_rest(window, 4))
+    if suffix == ".gif":
+        with Image.open(path) as shown:
+            assert shown.n_frames == 1  # ten pictures a second of thirty frames
+            assert shown.size[0] <= 900
+    else:
+        video = cv2.VideoCapture(str(path))
+        pictures = [video.read()[1] for _ in range(3)]
+        assert not video.read()[0]
+        assert abs(pictures[0].shape[1] - window.views.width()) < 2
+        window.worker.seek(3)
+        qtbot.waitUntil(lambda: at_rest(window, 3) and window.result.playback.index == 3)
+        shown = _pixels(window.views.grab().toImage(), None)[:, :, ::-1].astype(int)
+        near = [np.abs(picture.astype(int) - shown).mean() for picture in pictures]
+        assert np.argmin(near) == 2 and near[2] < 6
+
+
+def test_a_cancelled_animation_leaves_no_file(window, qtbot, tmp_path):
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+    type_path(qtbot, tmp_path / "views.mp4")
+    qtbot.waitUntil(window.export_bar.isVisible)
+    window.export_bar.cancel.click()
+    qtbot.waitUntil(lambda: "Export cancelled." in window.messages.sentences())
+    assert not list(tmp_path.glob("*.mp4"))
 
 
 def test_the_calibration_is_exported_by_the_same_dialog(window, qtbot, tmp_path):
