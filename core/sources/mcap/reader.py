@@ -104,7 +104,7 @@ class McapBag(Bag):
     def attachment(self, name: str) -> bytes | None:
         if name not in self._attachments:
             return None
-        with damage_told(self.path, "it is damaged"):
+        with self._lock, damage_told(self.path, "it is damaged"):
             record = self._read(*self._attachments[name])
             (checksum,) = struct.unpack("<I", record[-4:])
             if checksum and zlib.crc32(memoryview(record)[:-4]) != checksum:
