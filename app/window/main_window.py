@@ -110,10 +110,8 @@ class MainWindow(QMainWindow):
         self.findings = FindingsControl(self.context, self.actions_, panel=self.panel, views=self.views, rail=self.rail)
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
         self.recording = RecordingBar(self.context, self.actions_.record)
-        self.timeline, self.export = (
-            Timeline(self.context, self.time_strip),
-            Export(self.context, self.export_bar, self.views),
-        )
+        self.timeline = Timeline(self.context, self.time_strip)
+        self.export = Export(self.context, self.export_bar, self.views)
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
