@@ -69,7 +69,7 @@ _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 _TOGGLES = ("watch_drift", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 #: The actions whose keys work in the analysis window too.
 _SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop")
-_COLLAPSED_AT_FIRST = "range,region"
+_COLLAPSED_AT_FIRST = "alignment,range,region"
 
 
 class MainWindow(QMainWindow):

@@ -23,25 +23,25 @@ _UNKNOWN = "–"
 
 
 def patch_readings(result: Result, shown_fps: float) -> Sequence[Reading]:
-    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate."""
+    """Return the numbers that stand on the patch: area, doubt, frame rate and centroid."""
     patch, doubt = result.patch, result.doubt
     area = touches = edge = centroid = _UNKNOWN
     if patch is not None:
         area = f"{result.area_mm2:,.0f} mm²"
         if patch.centroid_m is not None:
             x, y, z = (1e3 * value for value in patch.centroid_m)
-            centroid = minus(f"{x:.0f}, {y:.0f}, {z:.0f} mm")
+            centroid = minus(f"{x:.0f}, {y:.0f}, {z:.0f}")
     if doubt is not None and result.area_mm2 > 0:
         touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
         if math.isfinite(doubt.boundary_error_mm):
             edge = f"±{doubt.boundary_error_mm:.1f} mm"
-    rate = f"{shown_fps:.0f} fps" if result.playback.playing else "paused"
+    rate = f"{shown_fps:.0f} fps" if result.playback.playing else _UNKNOWN
     return (
         Reading(area, "area", "00,000 mm²"),
         Reading(touches, "touches", "100 %"),
+        Reading(rate, "frame rate", "00 fps"),
+        Reading(centroid, "centroid x, y, z in mm", "−000, −000, 000"),
         Reading(edge, "edge", "±00.0 mm"),
-        Reading(centroid, "centroid x, y, z", "−000, −000, 000 mm"),
-        Reading(rate, "frame rate", "paused"),
     )
 
 

@@ -121,9 +121,7 @@ class ModeBar(QWidget):
         self.source, self.preset = _NameButton("Source"), _NameButton("Preset")
         self.source.clicked.connect(actions.open_source.trigger)
         self.preset.setMenu(preset_menu)
-        modes = [text_button(actions.by_name()[mode.value]) for mode in Mode]
-        for button in modes:
-            button.setProperty("mode", True)
+        modes = [text_button(actions.by_name()[mode.value], "mode") for mode in Mode]
         row = hbox(*modes, 16, (search, 1), 16, self.source, self.preset, margins=(8, 4, 8, 4), spacing=4)
         vbox(row, within=self, margins=0)
         self.show_source("none")

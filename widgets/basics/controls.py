@@ -77,9 +77,14 @@ def action_button(action: QAction) -> QToolButton:
     return button
 
 
-def text_button(action: QAction) -> QToolButton:
-    """Return a button with icon and text of an action; a shorter text later does not make it narrower."""
+def text_button(action: QAction, kind: str = "") -> QToolButton:
+    """Return a button with icon and text of an action; a shorter text later does not make it narrower.
+
+    ``kind`` is a property of that name for the style sheet.
+    """
     button = QToolButton()
+    if kind:
+        button.setProperty(kind, True)
     button.setDefaultAction(action)
     button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
     button.setFocusPolicy(Qt.FocusPolicy.TabFocus)

@@ -138,7 +138,7 @@ def paint_readings(painter: QPainter, room: QRect, readings: Sequence[Reading]) 
     """Paint numbers in large type, with their captions, into a band at the top with as many rows as they need."""
     large, small = text_font("title", bold=True), text_font("caption")
     numbers, captions = QFontMetrics(large), QFontMetrics(small)
-    left, gap, height = room.left() + 8, 16, numbers.height() + captions.height() + 4
+    left, gap, height = room.left() + 8, 12, numbers.height() + captions.height() + 4
     places: list[QRect] = []
     x, y = left, room.top() + 4
     for _, words, widest in readings:

@@ -130,6 +130,7 @@ class TimeStrip(QWidget):
         layout.addWidget(self.plot_widget, 0, 1)
         layout.setColumnStretch(1, 1)
         self.plot_widget.follow_theme(self._recolor)
+        self._place_marks()
 
     def _make_curve_box(self) -> ChoiceBox:
         box = ChoiceBox()
@@ -249,7 +250,10 @@ class TimeStrip(QWidget):
         known = np.flatnonzero(self._computed)
         self._line.setData(self._seconds[known], shown[known])
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
-        self._box.setYRange(0.0, 1.0 if curve.key == "iou" else 1.08 * top, padding=0)
+        height = 1.0 if curve.key == "iou" or top == 1.0 else 1.08 * top
+        axis = self._plot.getAxis("left")
+        axis.setTickSpacing(*((0.5, 0.5) if height == 1.0 else ()))  # its own would write five numbers over each other
+        self._box.setYRange(0.0, height, padding=0)
 
     def _place_cursor(self) -> None:
         there = 0 <= self._index < len(self._seconds) and not self._live
