@@ -57,7 +57,9 @@ def test_wrong_tactile_depth_in_places_less_than_doubles_the_error():
 
 
 @pytest.mark.parametrize(
-    "hidden", [lambda v, u: u % 4 == 0, lambda v, u: (u + v) % 2 == 0], ids=["every fourth column", "a chessboard"]
+    "hidden",
+    [lambda v, u: u % 4 == 0, lambda v, u: (u + v) % 2 == 0, lambda v, u: (u + v) % 3 > 0],
+    ids=["every fourth column", "a chessboard", "two of three"],
 )
 def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
     source = SimulatorSource("cup", cells=CELLS, variant=Variant(press="high"))
@@ -65,8 +67,8 @@ def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
     whole = len(pipeline.process(frame).points)
     depth = np.where(hidden(*np.indices(frame.proximity_depth.shape)), 0, frame.proximity_depth).astype(np.uint16)
     patch = pipeline.process(replace(frame, proximity_depth=depth))
-    assert len(patch.points) > 0.75 * whole
-    assert patch.membrane.firm_m2 > 2 * FIRM_M2, "half of its area has depth, and tells the bias"
+    assert len(patch.points) > 0.9 * whole
+    assert patch.membrane.firm_m2 > 2 * FIRM_M2, "a third of its area has depth, and tells the bias"
 
 
 def disc(width=200, height=120, radius_px=30.0, lift_m=0.0):
