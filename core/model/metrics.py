@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from ..errors import TactuneError
 from .arrays import BoolArray, Float32Array, Float64Array
 from .clouds import pixel_areas_m2, truth_cloud
 from .frames import GroundTruth, Rig, SensorFrame
 from .patch import ContactPatch
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
     a, b = np.asarray(first, np.float64).reshape(-1, 3), np.asarray(second, np.float64).reshape(-1, 3)
     if len(a) == 0 or len(b) == 0:
         return math.nan
-    return (_rms(nearest_distances(cKDTree(b), a)) + _rms(nearest_distances(cKDTree(a), b))) / 2
+    return (_rms(nearest_distances(_tree(b), a)) + _rms(nearest_distances(_tree(a), b))) / 2
 
 
 class TruthTree:
@@ -90,7 +93,7 @@ class TruthTree:
 
     def __init__(self, truth: npt.ArrayLike, samples: int = 6000) -> None:
         points = np.asarray(truth, np.float64).reshape(-1, 3)
-        self._tree = _quick_tree(points)
+        self._tree = _tree(points, quick=True)
         self._sample = points[:: max(1, -(-len(points) // samples))]
 
     def symmetric_rmses_m(self, patches: Sequence[Float32Array]) -> list[float]:
@@ -106,7 +109,7 @@ class TruthTree:
     def _symmetric_m(self, patch: Float32Array, to_truth: Float64Array) -> float:
         if len(patch) == 0:
             return math.nan
-        back = nearest_distances(_quick_tree(patch.astype(np.float64)), self._sample)
+        back = nearest_distances(_tree(patch.astype(np.float64), quick=True), self._sample)
         return (_rms(to_truth) + _rms(back)) / 2
 
 
@@ -117,9 +120,11 @@ def _hashes(points: Float32Array) -> npt.NDArray[np.uint64]:
     return np.asarray((both ^ both >> np.uint64(29)) * np.uint64(0xBF58476D1CE4E5B9) + z, np.uint64)
 
 
-def _quick_tree(points: Float64Array) -> cKDTree:
-    """Return a tree that is built in half the time and answers as fast, for points of a smooth surface."""
-    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+def _tree(points: Float64Array, quick: bool = False) -> cKDTree:
+    """Return a search tree; for points of a smooth surface a quick one is built in half the time, and answers as fast."""
+    from scipy.spatial import cKDTree  # not above: it takes long to import, and the window needs masks only
+
+    return cKDTree(points, balanced_tree=not quick, compact_nodes=not quick)
 
 
 def nearest_distances(tree: cKDTree, points: Float64Array) -> Float64Array:
