@@ -1,6 +1,8 @@
 """``tactune run``, and ``tactune convert`` into a folder."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -120,25 +122,18 @@ def test_a_reader_that_stops_reading_ends_the_command_silently(recording):
     assert process.returncode == 1
 
 
-def test_interrupted_with_finished_files_intact(recording, tmp_path):
-    out = tmp_path / "out"
-    interrupted = (
-        "import os, signal, sys\n"
-        "from tactune.app.cli.main import main\n"
-        "from tactune.core.contact.pipeline import ContactPipeline as P\n"
-        "process = P.process\n"
-        "def interrupt(self, frame):\n"
-        "    if frame.sequence == 2:\n"
-        "        os.kill(os.getpid(), signal.SIGINT)\n"
-        "    return process(self, frame)\n"
-        "P.process = interrupt\n"
-        "sys.exit(main())"
-    )
-    command = [sys.executable, "-c", interrupted, "run", "--source", str(recording), "--out", str(out)]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    assert done.returncode == 130
-    assert done.stderr == "tactune: stopped after 3 of 4 frames\n"
-    assert done.stdout.startswith("3 frames of folder:")
+def test_interrupted_with_finished_files_intact(tactune, recording, tmp_path, monkeypatch):
+    out, process = tmp_path / "out", ContactPipeline.process
+
+    def interrupted(self, frame):
+        if frame.sequence == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        return process(self, frame)
+
+    monkeypatch.setattr(ContactPipeline, "process", interrupted)
+    done = tactune("run", "--source", recording, "--out", out)
+    assert (done.status, done.err) == (130, "tactune: stopped after 3 of 4 frames\n")
+    assert done.out.startswith("3 frames of folder:")
     assert names(out) == ["patch_000000.npz", "patch_000001.npz", "patch_000002.npz"]
     with np.load(out / "patch_000001.npz") as saved:
         assert len(saved["points"]) > 0
