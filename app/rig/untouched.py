@@ -34,7 +34,7 @@ class UntouchedStep(Gather):
     prompt = "Do not touch the membrane"
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context, push_button("&Capture", "Average the next frames; nothing may touch the membrane"))
+        super().__init__(context, push_button("Cap&ture", "Average the next frames; nothing may touch the membrane"))
 
     def at_hand(self) -> list[SensorFrame]:
         """Return the untouched frame of a recording that has one, unless the preset has one already."""

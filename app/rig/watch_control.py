@@ -92,13 +92,13 @@ class WatchControl(QObject):
     def _look(self) -> None:
         """Look at the shown frame if that is due."""
         result, untouched = self._context.result, self._keeper.frame
-        if result is None or untouched is None or not self._action.isChecked():
-            return
+        if result is None or result.patch is None or untouched is None or not self._action.isChecked():
+            return  # without a patch, nothing tells what is touched
         if self._keeper.busy or self._job.busy:
             return
         preset, rig, live = self._context.document.preset, result.source.rig, result.source.length is None
         # The other fields only decide what counts as touched; changing them must not forget earlier looks.
-        key = (untouched, preset.alignment, result.source)
+        key = (untouched, preset.alignment, preset.contact_test, result.source)
         if key != self._key:
             self._forget()
             self._key, self._next_s, self._looks, self._failed = key, float("-inf"), 0, False

@@ -56,7 +56,7 @@ class AlignmentStep(Gather):
 
     def __init__(self, context: Context) -> None:
         super().__init__(
-            context, push_button("&Find points", "Find points in both colour images and fit the alignment")
+            context, push_button("Find poi&nts", "Find points in both colour images and fit the alignment")
         )
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:

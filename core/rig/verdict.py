@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
 
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError
+from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
-from ..preset import Preset
+from ..preset import Preset, RigNoise
 
 Link = Literal["alignment", "bias", "noise", "missing depth"]
 #: Standard deviation of a bias that is as good as known, metres.
@@ -45,6 +48,17 @@ class Verdict:
         )
 
 
+def _edge_error_mm(pipeline: ContactPipeline, noise: RigNoise, rig: Rig, pressed: SensorFrame) -> float:
+    """Return how far the edge of a patch moves if the membrane's depth is off by the noise of a pixel."""
+    step = max(round(noise.tactile.total_m / rig.tactile.depth_unit_m), 1)
+    counts, radii_mm = pressed.tactile_depth.astype(np.int64), []
+    for shift in (-step, step):
+        shifted = np.where(valid_depth(pressed.tactile_depth), np.clip(counts + shift, 1, 65534), counts)
+        patch = pipeline.process(replace(pressed, tactile_depth=shifted.astype(np.uint16)))
+        radii_mm.append(math.sqrt(patch.area_mm2 / math.pi))
+    return abs(radii_mm[1] - radii_mm[0]) / 2
+
+
 def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorFrame | None) -> Verdict:
     """Judge a preset on a frame in which an object is pressed into the membrane."""
     pipeline = ContactPipeline(preset, rig, untouched)
@@ -64,9 +78,10 @@ def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorF
             rest_mm = min(rest_mm, pipeline.process(pressed).doubt.boundary_error_mm)
             links["bias"] = math.sqrt(doubt.boundary_error_mm**2 - rest_mm**2)
         links["missing depth" if "too little depth" in doubt.reasons else "noise"] = rest_mm
+    elif preset.noise is not None:
+        links["noise"] = _edge_error_mm(pipeline, preset.noise, rig, pressed)
     if not links:
         raise CalibrationError(
-            f"nothing tells the error of the boundary: the {preset.contact_test} test has no bound of its own, and the "
-            "alignment was not calibrated; calibrate it"
+            "nothing tells the error of the boundary: neither alignment nor noise was measured; measure one of them"
         )
     return Verdict(math.sqrt(sum(each**2 for each in links.values())), links, doubt.reasons)
