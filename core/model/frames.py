@@ -170,6 +170,11 @@ class GroundTruth:
     #: 4 x 4 or None: Pose of the object in the proximity depth frame, metres; of a pair of objects as a whole. The
     #: object's own frame is that of `simulated_mesh`. Not stored in recordings.
     T_proximity_object: Matrix4 | None = None
+    #: Force of the object on the membrane in the proximity depth frame, newtons; contact pressure (H, W) and gauge
+    #: pressure of the air, pascals. Not stored in recordings.
+    force_n: tuple[float, float, float] | None = None
+    pressure_pa: Float32Array | None = None
+    inflation_pa: float | None = None
 
 
 #: Largest time stamp, seconds: what ROS can hold, until 2038.

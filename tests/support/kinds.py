@@ -163,8 +163,8 @@ def solved_scene(folder: Path, n: int) -> None:
     shapes = (rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape)
     deep, flat = (np.full(shapes[0], n, kind) for kind in (np.uint16, np.uint8))
     colours = [np.full((*shape, 3), n, np.uint8) for shape in shapes]
-    state = CleanState(deep, deep, flat, flat, colours[0], np.full(shapes[1], n, np.uint16), colours[1])
-    facts = PressFacts(0.01, TrueStrain(0.1, 0.1, 0.1, 0.1), 1e-6, POSE)
+    state = CleanState(deep, deep, flat, flat, colours[0], np.full(shapes[1], n, np.uint16), colours[1], deep)
+    facts = PressFacts(0.01, TrueStrain(0.1, 0.1, 0.1, 0.1), 1e-6, POSE, (0.0, 0.0, -1.0), 2000.0)
     save_scene(folder / "cup.npz", SolvedScene([state], [facts]))
 
 

@@ -398,6 +398,12 @@ class Membrane:
         return np.asarray((1 - ft) * upper + ft * lower)
 
 
+def contact_load(membrane: Membrane, state: MembraneState) -> Float64Array:
+    """Return the force of the object on each node, friction included, (N, 3), newtons: what rubber and air lack."""
+    touching = (state.reaction_n > 0.0)[:, None]
+    return np.asarray(np.where(touching, membrane.gradient(state.nodes), 0.0))
+
+
 def object_pose(rotation: Any, origin: Any) -> Float64Array:
     """Return the 3 x 4 matrix from the surrounding frame to an object's frame."""
     rotation, origin = np.asarray(rotation, dtype=np.float64), np.asarray(origin, dtype=np.float64)

@@ -60,15 +60,15 @@ class Surface:
 
     #: (H, W), metres; 0 where the camera sees the housing.
     depth: Float32Array
-    #: (H, W, 6): place on the flat sheet (x, y, metres), touching (0 to 1) and unit normal.
+    #: (H, W, 7): place on the flat sheet (x, y, metres), touching (0 to 1), unit normal, and contact pressure, Pa.
     attributes: Float32Array
 
 
 def rasterise(camera: Camera, nodes: Float64Array, triangles: Int32Array, values: Float64Array) -> Surface:
-    """Draw the membrane's triangles into a depth buffer and interpolate six values a node."""
+    """Draw the membrane's triangles into a depth buffer and interpolate some values, (N, K), of its nodes."""
     height, width = camera.intrinsics.shape
     depth = np.zeros((height, width), dtype=np.float32)
-    attributes = np.zeros((height, width, 6), dtype=np.float32)
+    attributes = np.zeros((height, width, values.shape[1]), dtype=np.float32)
     seen = nodes @ camera.pose[:, :3].T + camera.pose[:, 3]
     _rasterise(seen, triangles, values, camera.pinhole, depth, attributes)
     return Surface(depth, attributes)
@@ -107,27 +107,23 @@ def _rasterise(
                     continue
                 depth[v, u] = z
                 ka, kb, kc = ka * wa * z, kb * wb * z, kc * wc * z
-                for k in range(6):
+                for k in range(values.shape[1]):
                     attributes[v, u, k] = ka * values[a, k] + kb * values[b, k] + kc * values[c, k]
 
 
 @allocating
-def node_normals(nodes: Float64Array, triangles: Int32Array) -> Float64Array:
-    """Return the membrane's outward unit normals at its nodes, weighted by triangle area."""
-    normals = np.zeros_like(nodes)
+def node_areas(nodes: Float64Array, triangles: Int32Array) -> Float64Array:
+    """Return the areas of the membrane at its nodes as vectors, (N, 3), which point outward."""
+    areas = np.zeros_like(nodes)
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ux, uy, uz = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1], nodes[b, 2] - nodes[a, 2]
         vx, vy, vz = nodes[c, 0] - nodes[a, 0], nodes[c, 1] - nodes[a, 1], nodes[c, 2] - nodes[a, 2]
-        for n in (a, b, c):
-            normals[n, 0] += uy * vz - uz * vy
-            normals[n, 1] += uz * vx - ux * vz
-            normals[n, 2] += ux * vy - uy * vx
-    for n in range(nodes.shape[0]):
-        length = math.sqrt(normals[n, 0] ** 2 + normals[n, 1] ** 2 + normals[n, 2] ** 2)
-        if length > 0.0:
-            normals[n] /= length
-    return normals
+        for n in (a, b, c):  # a third of the triangle each
+            areas[n, 0] += (uy * vz - uz * vy) / 6.0
+            areas[n, 1] += (uz * vx - ux * vz) / 6.0
+            areas[n, 2] += (ux * vy - uy * vx) / 6.0
+    return areas
 
 
 @compiled

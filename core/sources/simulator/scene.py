@@ -12,10 +12,10 @@ from ...model.arrays import Float32Array, Float64Array, IndexArray, Uint8Array, 
 from ...model.clouds import nearest_pixels
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, rigid_transform
 from ...model.intrinsics import Intrinsics
-from .membrane import Membrane, MembraneState, contact_share, object_pose
+from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, contact_load, contact_share, object_pose
 from .mesh import MembraneDesign, Mesh
 from .objects import distance, turn
-from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_normals, rasterise, see_through, shade
+from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_areas, rasterise, see_through, shade
 from .scenes import Scene, Step
 from .sheet import DOT_RADIUS_M, DOT_SPACING_M, TEXEL_M, dot_counts, dot_grid, paint_sheet
 
@@ -96,6 +96,8 @@ class CleanState:
     #: (H, W): depth of the membrane in the tactile camera.
     tactile: Uint16Array
     tactile_color: Uint8Array
+    #: (H, W): contact pressure in the proximity camera, pascals.
+    pressure: Uint16Array
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,9 @@ class PressFacts:
     residual: float
     #: True pose of the object in the proximity depth frame.
     T_proximity_object: Matrix4
+    #: Force of the object on the membrane in the proximity depth frame, and gauge pressure of the air.
+    force_n: tuple[float, float, float]
+    inflation_pa: float
 
 
 class Press:
@@ -184,19 +189,24 @@ class Press:
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
         object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
         proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
+        force = self._cameras[0].pose[:, :3] @ contact_load(self.membrane, state).sum(axis=0)
         return PressFacts(
             depth_m=depth_m,
             strain=true_strain(self.membrane, state.nodes, self._cameras[1]),
             residual=state.residual,
             T_proximity_object=rigid_transform(proximity_membrane @ np.linalg.inv(object_membrane)),
+            force_n=(float(force[0]), float(force[1]), float(force[2])),
+            inflation_pa=state.pressure_pa - ATMOSPHERE_PA,
         )
 
     def picture(self, pose: Float64Array, state: MembraneState) -> CleanState:
         mesh, kind = self.membrane.mesh, self.pressed.kind
         surface = self.membrane.surface(state.nodes)
         touching = contact_share(self.membrane, state, kind, pose)
-        normals = node_normals(surface, mesh.triangles)
-        values = np.column_stack([mesh.flat[:, :2], touching, normals])
+        areas = node_areas(surface, mesh.triangles)
+        sizes = np.linalg.norm(areas, axis=1)
+        pressure = np.linalg.norm(contact_load(self.membrane, state), axis=1) / sizes
+        values = np.column_stack([mesh.flat[:, :2], touching, areas / sizes[:, None], pressure])
         near, tactile, colour = self._cameras
         sheets = [rasterise(camera, surface, mesh.triangles, values) for camera in self._cameras]
 
@@ -209,6 +219,7 @@ class Press:
             membrane=_counts(sheets[0].depth),
             cosine=cosine,
             flags=flags,
+            pressure=np.round(sheets[0].attributes[..., 6].clip(0, 65535)).astype(np.uint16),
             proximity_color=self._colour(colour, sheets[2], pose),
             tactile=_counts(sheets[1].depth),
             tactile_color=self._colour(tactile, sheets[1], pose),

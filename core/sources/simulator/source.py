@@ -45,7 +45,7 @@ _SKEW_S: Final = 0.0021
 #: Added to the seed of frames that need other noise than those that are judged.
 _OTHER_SEEDS: Final = 1_000_000
 #: To count up whenever a change of the code changes an image of a scene; then run ``scripts/ship_scene.py``.
-_IMAGES_VERSION: Final = 1
+_IMAGES_VERSION: Final = 3
 #: Folder of the solved scenes in the package.
 SHIPPED: Final = Path(__file__).with_name("solved")
 
@@ -121,7 +121,10 @@ class SimulatorSource(SeekableSource):
         state, facts, noise = self._solved.states[number], self._solved.facts[number], self._noise
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
-        truth = GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, facts.strain, facts.T_proximity_object)
+        truth = GroundTruth(
+            (state.flags & CONTACT_FLAG) != 0, depth, facts.strain, facts.T_proximity_object,
+            facts.force_n, state.pressure.astype(np.float32), facts.inflation_pa,
+        )  # fmt: skip
         time_s, color = index / self.frame_rate_hz, noise.colour(index, 1, state.tactile_color)
         tactile = Shot(noise.tactile_depth(index, state.tactile), color, time_s)
         if not self.rig.has_proximity:
@@ -131,16 +134,25 @@ class SimulatorSource(SeekableSource):
         return SensorFrame.of_shots(self.rig, index, proximity, tactile._replace(time_s=time_s + _SKEW_S), truth)
 
     def _seen_by_tactile(self, truth: GroundTruth) -> GroundTruth:
-        """Return the contact on the tactile camera's pixels."""
+        """Return contact and pressure on the tactile camera's pixels, and the force in its frame."""
         lens, shape = self._both.tactile.intrinsics, self._both.tactile.intrinsics.shape
         T_tactile_proximity = np.linalg.inv(np.array(self._both.T_proximity_tactile))
+        assert truth.depth_m is not None
+        assert truth.pressure_pa is not None
+        assert truth.force_n is not None
         points = truth_cloud(truth, self._both).points @ T_tactile_proximity[:3, :3].T + T_tactile_proximity[:3, 3]
         column, row = np.rint(lens.project(points)).astype(int).T
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-        contact = np.zeros(shape, np.uint8)
+        contact, pressure_pa, around = np.zeros(shape, np.uint8), np.zeros(shape, np.float32), np.ones((3, 3), np.uint8)
         contact[row[inside], column[inside]] = 1
-        closed = cv2.morphologyEx(contact, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))  # the pixels are not the same
-        return GroundTruth(closed > 0, None, truth.strain)
+        touching = truth.contact & np.isfinite(truth.depth_m)
+        pressure_pa[row[inside], column[inside]] = truth.pressure_pa[touching][inside]
+        closed = cv2.morphologyEx(contact, cv2.MORPH_CLOSE, around)  # the pixels are not the same
+        filled = np.where((closed > 0) & (contact == 0), cv2.dilate(pressure_pa, around), pressure_pa)
+        x, y, z = (T_tactile_proximity[:3, :3] @ truth.force_n).tolist()
+        return GroundTruth(
+            closed > 0, None, truth.strain, force_n=(x, y, z), pressure_pa=filled, inflation_pa=truth.inflation_pa
+        )
 
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Return the scene from the package or the cache, or compute and cache it."""

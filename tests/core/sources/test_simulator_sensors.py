@@ -21,7 +21,7 @@ FACING, PLAIN = np.full(WALL.shape, 255, dtype=np.uint8), np.zeros(WALL.shape, d
 
 def measured(model, frame, wall, cosine=FACING, flags=PLAIN):
     """Return what the proximity camera measures of a wall behind the membrane."""
-    return model.proximity_depth(frame, CleanState(wall, wall, cosine, flags, PLAIN, wall, PLAIN))
+    return model.proximity_depth(frame, CleanState(wall, wall, cosine, flags, PLAIN, wall, PLAIN, wall))
 
 
 def proximity_error(model, frame, wall=WALL, cosine=FACING):
