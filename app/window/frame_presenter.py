@@ -145,7 +145,8 @@ class FramePresenter(QObject):
         if not result.playback.playing or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
-            self._panel.show_masked_share(None if strip is None else strip.masked_share)
+            if strip is not None:  # else it is drawn with a later frame
+                self._panel.show_masked_share(strip.masked_share)
             self._show_readout()
         self._transport.show_state(result.playback)
         shown_fps = self._status.show_result(result)

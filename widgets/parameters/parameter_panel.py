@@ -219,7 +219,7 @@ class ParameterPanel(QScrollArea):
             self.show_mask.setChecked(True)
             self.show_mask.clicked.connect(self.maskShown)
             form.add_line(_bar((*self.eyedroppers.values(), self.show_mask)), "Eyedropper")
-            form.add_line(self.masked_share, column=1)
+            form.add_line(self.masked_share)
         if suggestible:
             evidence = "the newest frames and the untouched frame"
             tip = f"Measure {title.lower()} from {evidence}, and propose values"
