@@ -224,11 +224,12 @@ def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
 @contextmanager
 def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[FrameSource]:
     """Open a source, live cameras as a preset says, and warn where preset and rig do not match or frames were lost."""
-    from ...core.contact.checks import check_rig
     from ...core.sources.registry import open_source
 
     with CliProgress() as progress:
         source = open_source(name, progress.preparing, None if preset is None else preset.cameras)
+    from ...core.contact.checks import check_rig  # not above: a wrong name is told before this loads the compiler
+
     with source:
         if preset is not None:
             warn(*check_rig(preset, source.rig))

@@ -121,7 +121,7 @@ def _hashes(points: Float32Array) -> npt.NDArray[np.uint64]:
 
 
 def _tree(points: Float64Array, quick: bool = False) -> cKDTree:
-    """Return a search tree; for points of a smooth surface a quick one is built in half the time, and answers as fast."""
+    """Return a search tree; for points of a smooth surface a quick one is built in half the time."""
     from scipy.spatial import cKDTree  # not above: it takes long to import, and the window needs masks only
 
     return cKDTree(points, balanced_tree=not quick, compact_nodes=not quick)

@@ -150,6 +150,8 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
             kind, rest = _guess(name)
         if kind.needs != "nothing" and not rest:
             raise SourceError(f"{kind.scheme}: needs a path, as in {kind.form}")
+        if kind.needs != "nothing" and (missing := missing_path(name)) is not None:  # before anything is imported
+            raise SourceError(f"{name}: there is no {kind.needs} {missing}; check the path")
         return kind.open(rest, progress, cameras)
     except OSError as error:
         raise SourceError(f"cannot open {foreign(name)}: {error.strerror or error}; check the path") from error
