@@ -138,7 +138,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("documentation", "&Documentation", "F1", "Open the guide in the browser", "help-circle-outline"),
         Row("shortcuts", "&Shortcuts", "Shift+F1", "All keys and mouse gestures", "keyboard-outline"),
         _LINE,
-        Row("messages", "&Messages", "F12", "Go to the message over the views"),
+        Row("messages", "&Messages", "F12", "Go to the newest message"),
         Row("about", "&About Tactune", icon="information-outline"),
     ),
 }
