@@ -32,6 +32,7 @@ class DriftWindow(QDialog):
         self.found: RigCheck | None = None
         self._job = Job(self)
         self.sentence, self.unchecked = wrapped_label(_CHECKING, verdict=True), wrapped_label()
+        self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
         self.image = PointImage(
             f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
         )

@@ -37,8 +37,9 @@ LOOKS: Final = 3
 Verdict = Literal["fine", "inflation", "camera", "touched"]
 Remedy = Literal["calibrate", "capture"]
 
-#: Touch: a residual that neither pressure nor pose explains, above this depth in more than this share of the membrane.
-_DENT_M, _DENT_SHARE = 0.003, 0.02
+#: Touch: a residual that neither pressure nor pose explains, above this depth and this number of its robust standard
+#: deviations (a single frame is noisy), in more than this share of the membrane.
+_DENT_M, _DENT_SIGMAS, _DENT_SHARE = 0.003, 4.0, 0.02
 #: Touch during a watch: the preset finds this much more contact than in the untouched frame.
 _CONTACT_MM2: Final = 50.0
 #: The proximity camera sees the membrane itself only on prints, where both depths agree within this.
@@ -92,7 +93,8 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     fitted = _fit(change, np.column_stack([np.ones_like(x), x, y, bulge]))
     inflation_m = float(fitted[3]) if inflated else 0.0
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
-    dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
+    residual = change - plane - inflation_m * bulge
+    dented = float(np.mean(np.abs(residual) > max(_DENT_M, _DENT_SIGMAS * spread(residual, 0.0))))
 
     planes = {"tactile": plane}
     shifts: dict[str, Float64Array | None] = {}
