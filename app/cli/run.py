@@ -211,6 +211,7 @@ def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
         "area_mm2": finite_or_none(patch.area_mm2),
         "centroid_m": patch.centroid_m,
         **patch.doubt.record(),
+        **({} if patch.pressure is None else patch.pressure.record()),
         "contacts": [
             {"area_mm2": contact.area_mm2, "centroid_m": contact.centroid_m, **contact.doubt.record()}
             for contact in patch.contacts

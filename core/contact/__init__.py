@@ -10,6 +10,7 @@ from typing import Final
 from .contact_test import ContactTest
 from .dent import DentTest
 from .membrane.test import MembraneTest
+from .pressure.test import PressureTest
 from .tolerance import ToleranceTest
 
 #: Every contact test by its name in presets, the default first. To add one, add its line here.
@@ -17,4 +18,5 @@ CONTACT_TESTS: Final[dict[str, type[ContactTest]]] = {
     "membrane": MembraneTest,
     "tolerance": ToleranceTest,
     "dent": DentTest,
+    "pressure": PressureTest,
 }

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 
 from ..errors import RigMismatchError
-from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
+from ..model.arrays import BoolArray, Float32Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
 from ..model.patch import NO_CANDIDATES, Candidates, Found, Provenance
@@ -104,7 +104,7 @@ class DentTest(ContactTest):
         if due("dent"):
             dent = self._moved_m > dent_limit_m(preset)
             self._dent, deepest = dent.reshape(-1), _deepest(dent, self._moved_m, preset.dent.share).reshape(-1)
-            keep = deepest[self._tactile_pixels(self._seen.pixels, frame)]
+            keep = deepest[self.pixels.tactile_pixels(self._seen.pixels, frame)]
             self._dented = Candidates(self._seen.pixels[keep], self._seen.points[keep])
         if due("clusters"):
             from .outliers.clusters import without_small_clusters  # loads kernels
@@ -124,7 +124,7 @@ class DentTest(ContactTest):
         image = self.pixels.classify(frame)
         verdicts = image.reshape(-1)
         known = np.flatnonzero(verdicts == Provenance.CONTACT)
-        inside = dent[self._tactile_pixels(known, frame)]
+        inside = dent[self.pixels.tactile_pixels(known, frame)]
         verdicts[known] = np.where(inside, Provenance.MASKED, Provenance.OUTSIDE_TOLERANCE)
         unmasked = seen.pixels[verdicts[seen.pixels] == Provenance.MASKED]
         verdicts[unmasked] = Provenance.RIM
@@ -141,17 +141,6 @@ class DentTest(ContactTest):
         sums, share = (np.asarray(cv2.blur(each, (_SIDE_PX, _SIDE_PX))) for each in (counts, known.astype(np.float32)))
         mean = np.divide(sums, share, out=np.zeros(known.shape, np.float32), where=known & (share > 0.5))
         return np.asarray(mean * self.pixels.alignment.tables.tactile_unit_m, np.float32)
-
-    def _tactile_pixels(self, pixels: IndexArray, frame: SensorFrame) -> IndexArray:
-        """Return the flat tactile pixel of each flat proximity pixel that has depth."""
-        rig = self.pixels.rig
-        if not rig.has_proximity:  # both images are the same
-            return pixels
-        depth_m = frame.proximity_depth.reshape(-1)[pixels] * np.float32(rig.proximity.depth_unit_m)
-        height, width = rig.tactile.intrinsics.shape
-        u, v = self.pixels.alignment.tactile_pixels(pixels, depth_m, rig)
-        column, row = (np.rint(part).clip(0, size - 1).astype(np.intp) for part, size in ((u, width), (v, height)))
-        return np.asarray(row * width + column)
 
     @classmethod
     def accepted_share(cls, preset: Preset, distance_m: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from ..model.arrays import Float32Array, Uint16Array
 from ..model.clouds import pixel_areas_m2, valid_depth
 from ..model.frames import SensorFrame
-from ..model.patch import Boundary, Candidates, Doubt, DoubtOf, Lazy, MembraneFacts
+from ..model.patch import Boundary, Candidates, Doubt, DoubtOf, Lazy, MembraneFacts, PressureFacts
 from .membrane.bias import rig_bias
 from .membrane.equilibrium import LIMITS_PER_M, USUAL_PER_M
 
@@ -52,6 +52,8 @@ _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
 _MANY_UNSEEN, _NOISIER = 0.2, 1.35
 #: A dent is missing, and said to be, from this evidence on.
 _MISSING: Final = -1.0
+#: Contact pressure from this many standard deviations on adds no doubt. The boundary's error as a share of the window.
+_SURE_SIGMAS, _OF_WINDOW = 5.0, 0.5
 
 
 class Judge:
@@ -63,7 +65,9 @@ class Judge:
     def __init__(self, pixels: Pixels, cameras_moved: bool = False) -> None:
         self._pixels, self._cameras_moved = pixels, cameras_moved
 
-    def doubts(self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None) -> DoubtOf:
+    def doubts(
+        self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None, pressure: PressureFacts | None = None
+    ) -> DoubtOf:
         """Return a function that tells the `Doubt` about one contact of a frame."""
         whole = Lazy(lambda: self._whole_frame(frame, preset, facts))
         moved = Lazy(lambda: self._moved_everywhere_m(frame.tactile_depth))
@@ -80,6 +84,10 @@ class Judge:
                 evidence = self._dent_evidence(contact, area_m2, frame, facts, noise_m4, moved.get())
             if evidence < _MISSING:
                 reasons = (*reasons, "no dent")
+            if pressure is not None:
+                more, doubts = _pressure_evidence(contact, pressure)
+                evidence, reasons = evidence + more, (*reasons, *doubts)
+                boundary_mm = 1e3 * _OF_WINDOW * pressure.window_m
             radii = 1e-3 * boundary_mm / math.sqrt(area_m2 / math.pi)
             if radii > _ERROR_SHARE:
                 odds -= min(_PER_RADIUS * (radii - _ERROR_SHARE), _MAX_EVIDENCE)
@@ -180,6 +188,21 @@ class Judge:
     @property
     def _tactile_unit_m(self) -> np.float32:
         return np.float32(self._pixels.alignment.tables.tactile_unit_m)
+
+
+def _pressure_evidence(contact: Candidates, facts: PressureFacts) -> tuple[float, tuple[str, ...]]:
+    """Return what the pressure in a contact adds to the odds of a touch, natural logarithm, and reasons for doubt."""
+    values = facts.relative.get().reshape(-1)[contact.pixels]
+    values = values[np.isfinite(values)]
+    sigmas = float(values.max()) / facts.relative_sigma if len(values) and facts.relative_sigma > 0 else 0.0
+    evidence, reasons = min(sigmas - _SURE_SIGMAS, 0.0), []
+    if evidence < _MISSING:
+        reasons.append("pressure hardly above the noise")
+    if facts.at_rim:
+        evidence, reasons = evidence + math.log(_WRONG_ODDS), [*reasons, "at the rim"]
+    if not facts.noise_known:
+        evidence, reasons = evidence + math.log(_WRONG_ODDS), [*reasons, "noise not measured"]
+    return evidence, tuple(reasons)
 
 
 def _median(values: Float32Array) -> float:

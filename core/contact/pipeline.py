@@ -138,7 +138,7 @@ class ContactPipeline:
             frame = memory.averaged or frame
         found = test.find(frame, self.preset, due)
         due.finish()
-        doubt_of = Judge(test.pixels, self.cameras_moved).doubts(frame, self.preset, found.membrane)
+        doubt_of = Judge(test.pixels, self.cameras_moved).doubts(frame, self.preset, found.membrane, found.pressure)
         if memory.patch is not None and not due.stale:
             return memory.patch.again(frame.sequence, due.ms, (UNCHANGED,), doubt_of)
         memory.patch = ContactPatch(
@@ -152,6 +152,7 @@ class ContactPipeline:
             mask=Lazy(lambda: found.contact.mask(self.rig.proximity.intrinsics.shape)),
             averaged_frames=self._average.count if self._average is not None else 1,
             membrane=found.membrane,
+            pressure=found.pressure,
             doubt_of=doubt_of,
         )
         return memory.patch

@@ -114,6 +114,17 @@ class Pixels:
         image = frame.proximity_color if self.light is None else self.light.as_before(frame.proximity_color)
         return kernels.ColorTest(self._lookup, kernels.flat(image, 3 * LANES), self._hsv)
 
+    def tactile_pixels(self, pixels: IndexArray, frame: SensorFrame) -> IndexArray:
+        """Return the flat tactile pixel of each flat proximity pixel that has depth."""
+        rig = self.rig
+        if not rig.has_proximity:  # both images are the same
+            return pixels
+        depth_m = frame.proximity_depth.reshape(-1)[pixels] * np.float32(rig.proximity.depth_unit_m)
+        height, width = rig.tactile.intrinsics.shape
+        u, v = self.alignment.tactile_pixels(pixels, depth_m, rig)
+        column, row = (np.rint(part).clip(0, size - 1).astype(np.intp) for part, size in ((u, width), (v, height)))
+        return np.asarray(row * width + column)
+
     def candidates(self, frame: SensorFrame, tolerance: float) -> Candidates:
         """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's."""
         height, width = frame.proximity_depth.shape

@@ -174,13 +174,63 @@ class MembraneFacts:
 
 
 @dataclass(frozen=True, eq=False)
+class PressureFacts:
+    """What the pressure test measured in a frame besides contact."""
+
+    #: (H, W): Contact pressure as a share of the inflation, averaged over the window; nan where it is unknown.
+    relative: Lazy[Float32Array]
+    relative_sigma: float  # Its standard deviation; nan where nothing is seen
+    #: Force of the object on the membrane over the inflation, mm^2, in the proximity depth frame, with the standard
+    #: deviations; 0 without contact, nan if the free membrane around the contact is not seen.
+    force_mm2: tuple[float, float, float]
+    force_sigma_mm2: tuple[float, float, float]
+    inflation_pa: float  # 0: not known
+    inflation_sigma_pa: float
+    window_m: float  # Sigma of the window over which curvature is averaged
+    curvature_growth: float  # Of the free membrane since it was untouched, as a factor: by inflation and by the press
+    at_rim: bool  # Whether a contact is so near the rim, or a part without depth, that its surroundings are cut off
+    noise_known: bool  # Whether the noise was measured with the rig
+
+    @property
+    def force_n(self) -> tuple[float, float, float] | None:
+        """Force in newtons; None if the inflation is not known."""
+        return self._newtons(self.force_mm2) if self.inflation_pa > 0 else None
+
+    @property
+    def force_sigma_n(self) -> tuple[float, float, float] | None:
+        """Standard deviations of the force in newtons; None if the inflation is not known."""
+        if self.inflation_pa <= 0:
+            return None
+        share = self.inflation_sigma_pa / self.inflation_pa
+        both = zip(self.force_mm2, self.force_sigma_mm2, strict=True)
+        x, y, z = (math.hypot(sigma, share * force) for force, sigma in both)
+        return self._newtons((x, y, z))
+
+    def _newtons(self, area_mm2: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (1e-6 * self.inflation_pa * each for each in area_mm2)
+        return x, y, z
+
+    def record(self) -> dict[str, Any]:
+        """Return force and inflation for JSON; None for what is not known."""
+        force_n, sigma_n = self.force_n, self.force_sigma_n
+        return {
+            "relative_force_mm2": [finite_or_none(each) for each in self.force_mm2],
+            "relative_force_sigma_mm2": [finite_or_none(each) for each in self.force_sigma_mm2],
+            "force_n": None if force_n is None else [finite_or_none(each) for each in force_n],
+            "force_sigma_n": None if sigma_n is None else [finite_or_none(each) for each in sigma_n],
+            "inflation_pa": self.inflation_pa or None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
 class Found:
-    """What a contact test found in a frame; the last two fields are those of `ContactPatch`."""
+    """What a contact test found in a frame; the last three fields are those of `ContactPatch`."""
 
     contact: Candidates
     make_provenance: Callable[[], Uint8Array]  # Computes the verdict on each pixel, uint8 (H, W), when it is read
     skipped: tuple[str, ...] = ()
     membrane: MembraneFacts | None = None
+    pressure: PressureFacts | None = None
 
 
 class ContactPatch:
@@ -205,6 +255,8 @@ class ContactPatch:
     membrane : MembraneFacts or None
         None for another contact test, and where both depths are nowhere near each other.
     doubt_of : DoubtOf
+    pressure : PressureFacts or None
+        None for another contact test.
     """
 
     def __init__(
@@ -220,6 +272,7 @@ class ContactPatch:
         averaged_frames: int = 1,
         membrane: MembraneFacts | None = None,
         doubt_of: DoubtOf = lambda contact: _NO_DOUBT,
+        pressure: PressureFacts | None = None,
     ) -> None:
         self.sequence = sequence
         self._points = points
@@ -228,6 +281,7 @@ class ContactPatch:
         self.skipped = skipped
         self.averaged_frames = averaged_frames
         self.membrane = membrane
+        self.pressure = pressure
         self._provenance = provenance
         self._aligned = aligned
         self._mask = mask
@@ -239,7 +293,7 @@ class ContactPatch:
         """Return the same patch as the result of another call, with the doubt under the present preset."""
         return ContactPatch(
             sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
-            self.averaged_frames, self.membrane, doubt_of,
+            self.averaged_frames, self.membrane, doubt_of, self.pressure,
         )  # fmt: skip
 
     @property
@@ -319,6 +373,18 @@ class ContactPatch:
             float(np.average([each.boundary_error_mm for each in doubts], weights=areas)),
             tuple(dict.fromkeys(reason for each in doubts for reason in each.reasons)),
         )
+
+    @property
+    def force_n(self) -> tuple[float, float, float] | None:
+        """Force of the object on the membrane, newtons; None for another contact test or an unknown inflation."""
+        return None if self.pressure is None else self.pressure.force_n
+
+    @property
+    def pressure_pa(self) -> Float32Array | None:
+        """Float32 (H, W), the contact pressure, nan where it is unknown; None as for `force_n`."""
+        if self.pressure is None or self.pressure.inflation_pa <= 0:
+            return None
+        return self.pressure.relative.get() * np.float32(self.pressure.inflation_pa)
 
     def doubt_by_point(self) -> dict[str, Float32Array]:
         """Return the numbers of the `Doubt` about each point's contact by name, float32 (N,)."""

@@ -28,7 +28,7 @@ _CSV_FORMATS: Final = {"f4": "%.9g", "f8": "%.17g"}
 
 
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return a patch's points, their colours (or black), pixels ``u``, ``v``, relative difference and doubt."""
+    """Return a patch's points, their colours (or black), pixels ``u``, ``v``, and what is known of each."""
     pixels = np.flatnonzero(patch.mask)
     colors, _ = colors_at(patch.points, pixels, frame.proximity_color, rig)
     v, u = np.divmod(pixels, patch.mask.shape[1])
@@ -38,6 +38,8 @@ def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud
         "v": v.astype(np.uint16),
         **patch.doubt_by_point(),
     }
+    if patch.pressure is not None:
+        attributes["relative_pressure"] = patch.pressure.relative.get().ravel()[pixels]
     return PointCloud(patch.points, colors, attributes)
 
 

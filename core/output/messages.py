@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from ..sources.mcap.messages import (
 
 POSE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 VECTOR: Final = "geometry_msgs/msg/Vector3Stamped"
+WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
 NUMBER: Final = "std_msgs/msg/Float64"
 DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -184,6 +186,13 @@ def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
     return _serialise(
         _type(VECTOR)(_header(PROXIMITY_FRAME, stamp_ns), _type("geometry_msgs/msg/Vector3")(x, y, z)), VECTOR
     )
+
+
+def wrench(force_n: tuple[float, float, float], stamp_ns: int) -> bytes:
+    """Return a force in newtons, in the proximity depth frame; its torque, which is not known, is nan."""
+    of = _type("geometry_msgs/msg/Vector3")
+    both = _type("geometry_msgs/msg/Wrench")(of(*force_n), of(math.nan, math.nan, math.nan))
+    return _serialise(_type(WRENCH)(_header(PROXIMITY_FRAME, stamp_ns), both), WRENCH)
 
 
 def number(value: float) -> bytes:

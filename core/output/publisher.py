@@ -37,7 +37,7 @@ from ..sources.mcap.messages import (
     Topic,
 )
 from . import messages
-from .messages import DIAGNOSTICS, NUMBER, POSE_TOPICS, VECTOR
+from .messages import DIAGNOSTICS, NUMBER, POSE_TOPICS, VECTOR, WRENCH
 
 _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DEPTH, Topic.TACTILE_COLOR)
 
@@ -46,6 +46,8 @@ LIVE_TOPICS: Final[Mapping[str, str]] = {
     Topic.PATCH: POINT_CLOUD,
     Topic.AREA: NUMBER,
     Topic.DOUBT: DIAGNOSTICS,
+    Topic.WRENCH: WRENCH,
+    Topic.RELATIVE_FORCE: VECTOR,
     Topic.TILT: VECTOR,
     Topic.TILT_SIGMA: VECTOR,
     **POSE_TOPICS,
@@ -195,6 +197,9 @@ def frame_messages(
         roll, pitch, axis = (math.nan if angle is None else angle for angle in found)
         return messages.vector(roll, pitch, axis, stamp_ns)
 
+    def relative_force() -> bytes | None:
+        return None if patch.pressure is None else messages.vector(*patch.pressure.force_mm2, stamp_ns)
+
     def diagnostics() -> bytes:
         values = {f"{stage} ms": f"{ms:.3f}" for stage, ms in patch.stage_ms.items()} | {
             "frame": str(patch.sequence),
@@ -214,6 +219,8 @@ def frame_messages(
         Topic.PATCH: lambda: messages.point_cloud(patch.points, stamp_ns),
         Topic.AREA: lambda: messages.number(patch.area_mm2),
         Topic.DOUBT: lambda: messages.diagnostics("contact", doubt_values(patch.doubt), stamp_ns),
+        Topic.WRENCH: lambda: None if patch.force_n is None else messages.wrench(patch.force_n, stamp_ns),
+        Topic.RELATIVE_FORCE: relative_force,
         Topic.TILT: lambda: angles(""),
         Topic.TILT_SIGMA: lambda: angles("_sigma"),
         Topic.STATIC_TRANSFORMS: transforms,

@@ -16,6 +16,7 @@ from ..contact import CONTACT_TESTS
 from ..contact.contact_test import ContactTest
 from ..contact.dent import DentSection
 from ..contact.membrane.section import MembraneSection
+from ..contact.pressure.section import PressureSection
 from ..contact.tolerance import OutlierSection, ToleranceSection
 from ..errors import PresetError, foreign
 from ..model.alignment import AlignmentSection
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
         outliers: OutlierSection = OutlierSection()
         membrane: MembraneSection = MembraneSection()
         dent: DentSection = DentSection()
+        pressure: PressureSection = PressureSection()
 
 else:
     _sections = {name: section for test in CONTACT_TESTS.values() for name, section in test.sections.items()}

@@ -57,6 +57,8 @@ class Topic(StrEnum):
     AREA = "/contact/area_mm2"
     DOUBT = "/contact/doubt"
     FINDINGS = "/contact/findings"
+    WRENCH = "/contact/wrench"
+    RELATIVE_FORCE = "/contact/relative_force_mm2"
     TILT = "/contact/tilt"
     TILT_SIGMA = "/contact/tilt_sigma"
     PROXIMITY_CLOUD = "/proximity/points"

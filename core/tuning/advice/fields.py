@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from ...contact.dent import noise_limit_m
+from ...contact.pipeline import ContactPipeline
+from ...contact.pressure.test import PRESSURE_SIGMAS
 from ...errors import AdviceError
 from ...sources.base import Progress
 from .proposal import Evidence, Proposal
 
-_NAMES: Final = {"tolerance.t": "tolerance t", "dent.limit_m": "smallest dent"}
+_NAMES: Final = {"tolerance.t": "tolerance t", "dent.limit_m": "smallest dent", "pressure.limit": "smallest pressure"}
 #: t covers this number of standard deviations of the noise of both depths: 95 % of the pixels.
 _T_SIGMAS: Final = 2.0
 
@@ -48,6 +50,28 @@ def suggest_dent(evidence: Evidence, progress: Progress) -> Proposal:
     )
 
 
+def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
+    """Propose the smallest pressure that the measured noise allows, as a share of the inflation."""
+    preset, untouched = evidence.preset, evidence.untouched
+    if preset.noise is None or untouched is None:
+        raise AdviceError(
+            "pressure: the noise of the camera and the untouched frame tell the smallest pressure; capture it and "
+            "measure the noise (F6)"
+        )
+    in_use = preset.with_value("contact_test", "pressure")
+    facts = ContactPipeline(in_use, evidence.rig, untouched).process(untouched).pressure
+    if facts is None or not math.isfinite(facts.relative_sigma):
+        raise AdviceError("pressure: the untouched frame shows too little of the membrane; capture it again")
+    limit = max(math.ceil(100 * PRESSURE_SIGMAS * facts.relative_sigma), 1) / 100
+    return _proposal(
+        evidence,
+        "pressure",
+        {"pressure.limit": limit},
+        f"Noise explains pressures up to {limit:.2f} of the inflation, averaged over {2e3 * facts.window_m:.0f} mm.",
+        "Nothing but noise is left out.",
+    )
+
+
 def _proposal(evidence: Evidence, section: str, changes: Mapping[str, Any], sentence: str, expected: str) -> Proposal:
     changed = {path: value for path, value in changes.items() if value != evidence.preset.value(path)}
     label = ", ".join(f"{_NAMES[path]} {_shown(path, value)}" for path, value in changed.items())
@@ -56,4 +80,4 @@ def _proposal(evidence: Evidence, section: str, changes: Mapping[str, Any], sent
 
 
 def _shown(path: str, value: float) -> str:
-    return f"{100 * value:g} %" if path == "tolerance.t" else f"{1e3 * value:g} mm"
+    return f"{1e3 * value:g} mm" if path.endswith("_m") else f"{100 * value:g} %"

@@ -49,6 +49,7 @@ _SMALLEST: Final = {
     "membrane": ("membrane.min_area_mm2", "Smallest contact"),
     "tolerance": ("outliers.min_cluster_area_mm2", "Smallest cluster"),
     "dent": ("dent.min_area_mm2", "Smallest dent area"),
+    "pressure": ("pressure.min_area_mm2", "Smallest contact area"),
 }
 
 

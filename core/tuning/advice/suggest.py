@@ -18,7 +18,7 @@ from ...model.clouds import valid_depth
 from ...preset import CONTACT_TESTS, Preset
 from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress, part_of
-from .fields import suggest_dent, suggest_tolerance
+from .fields import suggest_dent, suggest_pressure, suggest_tolerance
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -165,6 +165,7 @@ _SUGGEST: Final[dict[str, Callable[[Evidence, Progress], Proposal]]] = {
     "alignment": suggest_alignment,
     "tolerance": suggest_tolerance,
     "dent": suggest_dent,
+    "pressure": suggest_pressure,
 }
 #: Sections that a rig with one camera does not need.
 _OF_TWO_CAMERAS: Final = ("mask", "alignment")

@@ -78,7 +78,7 @@ def test_a_third_contact_test_is_one_file_and_one_line(program, recording, tmp_p
         ["run", "-s", str(recording), "-p", preset, "--json"],
     ])).split("=\n")  # fmt: skip
     contact_test = json.loads(schema)["properties"]["contact_test"]
-    assert contact_test["enum"] == ["membrane", "tolerance", "toy", "dent"]
+    assert contact_test["enum"] == ["membrane", "tolerance", "toy", "dent", "pressure"]
     assert "toy: both depths differ" in contact_test["description"]
     assert json.loads(Path(preset).read_text())["contact_test"] == "toy"
     found = [json.loads(frame) for frame in frames.splitlines()]

@@ -1,6 +1,7 @@
 """Live messages, decoded by MCAP's own ROS 2 decoder, and the mailboxes between frames and sinks."""
 
 import threading
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +11,32 @@ from ros_messages import decoded, points_of
 from tactune.core.errors import PublishError
 from tactune.core.estimation.tilt import Tilt
 from tactune.core.model.clouds import deproject
-from tactune.core.model.patch import ContactPatch, Lazy
+from tactune.core.model.patch import ContactPatch, Lazy, PressureFacts
 from tactune.core.output.publisher import LIVE_TOPICS, Publisher, SinkStatus, frame_messages, pose_messages
 
 WAIT_S = 60
 
 
 TURN = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
+FORCE = PressureFacts(
+    Lazy(lambda: np.zeros((1, 1), np.float32)),
+    0.1,
+    (100.0, 0.0, -2000.0),
+    (1.0, 1.0, 20.0),
+    1500.0,
+    0.0,
+    0.02,
+    1.0,
+    False,
+    True,
+)
 TILT = Tilt(0, 0.0, 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_sigma_rad=0.05)
 
 
 def test_every_topic_arrives_bit_for_bit(processed):
     frame, patch, preset = processed
+    patch = copy(patch)
+    patch.pressure = FORCE
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
     built = frame_messages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
     posed = pose_messages(np.array(TURN), covariance, built.stamp_ns)
@@ -29,6 +44,9 @@ def test_every_topic_arrives_bit_for_bit(processed):
     seen = {message.topic: decoded(message.type, message.data) for message in found if message is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
+    force = seen["/contact/wrench"].wrench.force
+    assert (force.x, force.y, force.z) == pytest.approx((0.15, 0.0, -3.0))
+    assert seen["/contact/relative_force_mm2"].vector.z == -2000.0
     assert len(patch.points) > 1000
     assert np.array_equal(points_of(seen["/contact/patch"])[0], patch.points)
     assert seen["/contact/area_mm2"].data == patch.area_mm2

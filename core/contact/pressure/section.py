@@ -1,0 +1,85 @@
+"""The parameters of the pressure test."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from ...model.sections import Section, described
+
+
+class PressureSection(Section):
+    """The pressure test: contact pressure from the curvature of the membrane."""
+
+    limit: Annotated[
+        float,
+        described(
+            "Smallest pressure",
+            "Contact is where the pressure of the object exceeds this share of the inflation. Noise raises it. A "
+            "larger value gives a smaller patch.",
+            unit="share",
+            scale="log",
+            slider=(0.05, 2.0),
+            step=0.01,
+            limits=(0.0, 100.0),
+        ),
+    ] = 0.3
+    share: Annotated[
+        float,
+        described(
+            "Share of the largest",
+            "Contact ends where the pressure falls below this share of the largest pressure of the same contact (its "
+            "90 % quantile). A larger value gives a smaller patch.",
+            slider=(0.0, 0.95),
+            step=0.01,
+            limits=(0.0, 1.0),
+        ),
+    ] = 0.5
+    noise: Annotated[
+        float,
+        described(
+            "Noise of the pressure",
+            "Standard deviation of the pressure, as a share of the inflation, that the averaging window is chosen for: "
+            "the noisier the camera, the wider the window. A smaller value averages more and resolves less.",
+            unit="share",
+            slider=(0.03, 0.5),
+            step=0.01,
+            advanced=True,
+            limits=(0.01, 5.0),
+        ),
+    ] = 0.12
+    min_area_mm2: Annotated[
+        float,
+        described(
+            "Smallest contact area",
+            "Connected groups of pixels with a smaller area are dropped. 0 keeps all.",
+            unit="mm2",
+            slider=(0.0, 500.0),
+            step=5.0,
+            limits=(0.0, 1e6),
+        ),
+    ] = 50.0
+    gauge_pa: Annotated[
+        float,
+        described(
+            "Inflation",
+            "Pressure of the air above the atmosphere. It turns relative pressure and force into pascals and newtons. "
+            "0: not known; figures then stay relative to the inflation.",
+            unit="Pa",
+            slider=(0.0, 10_000.0),
+            step=10.0,
+            advanced=True,
+            limits=(0.0, 1e6),
+        ),
+    ] = 0.0
+    gauge_sigma_pa: Annotated[
+        float,
+        described(
+            "Inflation uncertainty",
+            "Standard deviation of the inflation.",
+            unit="Pa",
+            slider=(0.0, 1000.0),
+            step=1.0,
+            advanced=True,
+            limits=(0.0, 1e6),
+        ),
+    ] = 0.0

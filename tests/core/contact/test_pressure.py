@@ -1,0 +1,141 @@
+"""The pressure test: contact and force from one camera, against the simulator's solver and a sphere."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tactune.core import ContactPipeline, Preset, open_source
+from tactune.core.contact.pressure import surface
+from tactune.core.errors import RigMismatchError
+from tactune.core.lab.single_camera import tactile_only
+from tactune.core.lab.table import measured_rig
+from tactune.core.model.frames import Rig, SensorFrame, Shot
+from tactune.core.model.metrics import pixel_scores
+from tactune.core.model.patch import Provenance
+from tactune.core.output import messages
+from tactune.core.rig.untouched import untouched_frame
+from tactune.core.sources.simulator.scene import simulator_rig
+
+PRESSURE = Preset(contact_test="pressure")
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """The rig, the preset with its noise, a frame of a press, and the untouched frame."""
+    with open_source("sim:cup?press=medium&cameras=tactile") as source:
+        frame, untouched, preset = source.next_frame(), untouched_frame(source), measured_rig(PRESSURE, source)
+    return source.rig, preset, frame, untouched
+
+
+def spherical(rig, radius_m, apex_m=0.3, seed=None):
+    """A free bubble: the far side of a sphere whose farthest point is at a depth, with noise that pixels share."""
+    lens = rig.tactile.intrinsics
+    v, u = np.mgrid[: lens.height, : lens.width]
+    x, y = np.moveaxis(lens.normalise(np.stack([u, v], -1).reshape(-1, 2)).reshape(*lens.shape, 2), -1, 0)
+    square, centre = 1 + x * x + y * y, apex_m - radius_m
+    depth = (centre + np.sqrt(np.maximum(centre**2 - square * (centre**2 - radius_m**2), 0))) / square
+    return SensorFrame.of_shots(rig, 0, None, Shot(np.rint(depth / 1e-4).astype(np.uint16), None, 0.0))
+
+
+def test_a_sphere_has_its_curvature_and_carries_no_force():
+    rig = Rig.of_one_camera(simulator_rig().tactile)
+    grid = surface.Grid.of(rig.tactile.intrinsics)
+    depth_m, share = surface.cells(spherical(rig, 0.2).tactile_depth, 1e-4, 0.0)
+    bulge = surface.curvature(surface.fit(depth_m, share, 2.0), grid)
+    assert np.nanmedian(bulge) == pytest.approx(2 / 0.2, rel=0.01)
+    assert np.nanstd(bulge) < 0.3
+    rows, columns = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
+    weight = np.clip((22 - np.hypot(rows - 28, columns - 42)) / 8, 0, 1)
+    air, pull = surface.balance(grid.points(depth_m), weight)
+    assert air[2] > 0.003
+    assert np.linalg.norm(air - pull * 0.2 / 2) < 0.01 * np.linalg.norm(air)
+
+
+def test_nothing_is_known_at_the_rim():
+    depth_m, share = np.full((40, 40), 0.3), np.ones((40, 40))
+    depth_m[:, :10] = share[:, :10] = 0.0
+    known = np.isfinite(surface.fit(depth_m, share, 3.0).fit[0])
+    assert known[20, 20]
+    assert not known[20, 8:11].any()
+
+
+def test_force_and_contact_of_a_press_follow_the_solver(pressed):
+    rig, preset, frame, untouched = pressed
+    patch = ContactPipeline(preset.with_value("pressure.gauge_pa", frame.truth.inflation_pa), rig, untouched).process(
+        frame
+    )
+    error_n = np.linalg.norm(np.subtract(patch.force_n, frame.truth.force_n))
+    assert error_n < 0.10 * np.linalg.norm(frame.truth.force_n)
+    assert (np.abs(np.subtract(patch.force_n, frame.truth.force_n)) < 4 * np.array(patch.pressure.force_sigma_n)).all()
+    found = pixel_scores(patch.mask, frame.truth.contact).iou
+    rival = pixel_scores(tactile_only(preset, rig, untouched)(frame).mask, frame.truth.contact).iou
+    assert found > max(1.3 * rival, 0.45)
+    assert patch.doubt.touch_probability > 0.9
+    inside = patch.pressure_pa[patch.mask]
+    assert np.nanmedian(inside) > 0.3 * frame.truth.inflation_pa
+    assert (patch.provenance == Provenance.CONTACT).sum() == len(patch.points)
+    assert len(messages.wrench(patch.force_n, 0)) > 48
+
+
+def test_without_the_inflation_figures_stay_relative_and_say_so(pressed):
+    rig, preset, frame, untouched = pressed
+    patch = ContactPipeline(preset, rig, untouched).process(frame)
+    assert patch.force_n is None
+    assert patch.pressure_pa is None
+    record = json.loads(json.dumps(patch.pressure.record()))
+    truth_mm2 = 1e6 * np.array(frame.truth.force_n) / frame.truth.inflation_pa
+    assert record["relative_force_mm2"] == pytest.approx(truth_mm2.tolist(), abs=0.1 * np.linalg.norm(truth_mm2))
+    assert record["force_n"] is record["inflation_pa"] is None
+
+
+def test_unchanged_steps_are_skipped_and_a_change_of_the_limit_finds_less(pressed):
+    rig, preset, frame, untouched = pressed
+    pipeline = ContactPipeline(preset, rig, untouched)
+    first = pipeline.process(frame)
+    assert set(pipeline.process(frame).stage_ms.values()) == {0.0}
+    pipeline.update(preset.with_value("pressure.limit", 1.0))
+    assert len(pipeline.process(frame).points) < len(first.points)
+    with pytest.raises(RigMismatchError, match="untouched frame"):
+        ContactPipeline(preset, rig).process(frame)
+
+
+def test_noise_that_was_not_measured_is_a_doubt(pressed):
+    rig, _, frame, untouched = pressed
+    assert "noise not measured" in ContactPipeline(PRESSURE, rig, untouched).process(frame).doubt.reasons
+
+
+def claimed(patch):
+    """Whether a patch claims contact without doubt."""
+    return len(patch.points) and patch.doubt.touch_probability >= 0.9 and not patch.doubt.reasons
+
+
+def test_what_hovers_is_no_contact(pressed):
+    rig, preset, _, untouched = pressed
+    with open_source("sim:cup?gap=3&cameras=tactile") as source:
+        pipeline = ContactPipeline(preset, rig, untouched)
+        assert not any(claimed(pipeline.process(source.read(number))) for number in range(5))
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_bubble_that_was_inflated_more_or_less_since_is_no_contact(share):
+    """A smaller or larger pressure changes the curvature of the whole bubble, and lifts or sinks it."""
+    rig = Rig.of_one_camera(simulator_rig().tactile)
+    rest, now = spherical(rig, 0.2), spherical(rig, 0.2 / share, 0.3 + 0.05 * (share - 1))
+    patch = ContactPipeline(PRESSURE, rig, rest).process(now)
+    assert patch.pressure.curvature_growth == pytest.approx(share, rel=0.02)
+    assert not claimed(patch)
+    assert not len(patch.points)
+
+
+def test_a_press_at_the_rim_is_doubted(pressed):
+    """A hand on the rim: only the part of a press that lies beside missing depth is seen."""
+    rig, preset, frame, untouched = pressed
+    columns = np.flatnonzero(frame.truth.contact.any(axis=0))
+    edge = int(columns.mean())
+    cut, rest = frame.tactile_depth.copy(), untouched.tactile_depth.copy()
+    cut[:, edge:] = rest[:, edge:] = 0
+    beside, free = (SensorFrame.of_shots(rig, 0, None, Shot(depth, None, 0.0)) for depth in (cut, rest))
+    patch = ContactPipeline(preset, rig, free).process(beside)
+    assert not claimed(patch)
+    assert not len(patch.points) or "at the rim" in patch.doubt.reasons
