@@ -26,6 +26,9 @@ MakeRival = Callable[[Preset, Rig, SensorFrame], Find]
 STRAIGHT: Final = "straight"
 MEMBRANE: Final = "fusion-membrane"
 AVERAGED: Final = "fusion-averaged"
+PRESSURE: Final = "pressure"
+#: Pipelines that use the measured noise of a rig.
+OF_NOISE: Final = (MEMBRANE, AVERAGED, PRESSURE)
 
 #: Contact pipelines by name: the preset fields that each sets.
 PIPELINES: Final[dict[str, dict[str, Any]]] = {
@@ -34,6 +37,7 @@ PIPELINES: Final[dict[str, dict[str, Any]]] = {
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
     MEMBRANE: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
     AVERAGED: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
+    PRESSURE: {"contact_test": "pressure", "alignment.model": "rigid"},
 }
 
 _GROUP: Final = "tactune.methods"
@@ -99,11 +103,13 @@ def needed_frames(name: str) -> int:
 def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> Find:
     """Build a method by its name; raises a `TactuneError` where there is none or it lacks an untouched frame."""
     check_methods([name])
-    if name in PIPELINES:
+    if name in PIPELINES and name != PRESSURE:
         return ContactPipeline(preset.with_values(PIPELINES[name]), rig).process
     if untouched is None:
         raise TactuneError(
             f"{name} compares with the untouched membrane, but there is no untouched frame; "
             "capture one while nothing touches the membrane"
         )
+    if name == PRESSURE:
+        return ContactPipeline(preset.with_values(PIPELINES[name]), rig, untouched).process
     return rivals()[name](preset, rig, untouched)

@@ -22,12 +22,13 @@ from statistics import fmean, median
 from typing import Any, Final
 
 import cv2
+import numpy as np
 
 from ..contact.kernels.threads import available_threads, set_threads
 from ..contact.pipeline import ContactPipeline
 from ..errors import TactuneError
 from ..model.files import atomic_path, code_version, finite_or_none
-from ..model.frames import SensorFrame
+from ..model.frames import GroundTruth, SensorFrame
 from ..model.loading import read_json
 from ..model.metrics import TruthTree, pixel_scores, true_contact
 from ..model.patch import ContactPatch
@@ -39,7 +40,7 @@ from ..sources.registry import open_source
 from ..sources.simulator.objects import HELD_OUT
 from ..sources.simulator.scenes import MEMBRANES
 from ..sources.simulator.sensors import DEFAULT_SENSOR, SENSORS
-from .methods import AVERAGED, MEMBRANE, PIPELINES, check_methods, make_method, method_names, needed_frames
+from .methods import OF_NOISE, PIPELINES, PRESSURE, check_methods, make_method, method_names, needed_frames
 
 PRESSES: Final = ("low", "medium", "high")
 OBJECTS: Final = ("octopus", "cup", "cube")
@@ -87,6 +88,7 @@ class Cell:
     method: str
     rmse_mm: float | None = None
     iou: float | None = None
+    force_error: float | None = None  # Of the force over the inflation, share
     points: int = 0
     true_mm2: float = 0.0
     failure: str = ""
@@ -212,7 +214,7 @@ class _Rig:
 
     @classmethod
     def measured(cls, plan: Plan, source: FrameSource) -> _Rig:
-        rivals = any(name not in PIPELINES and name != BEST_T for name in plan.methods)
+        rivals = any(name == PRESSURE or (name not in PIPELINES and name != BEST_T) for name in plan.methods)
         untouched = untouched_frame(source) if rivals else None
         try:
             return cls(measured_rig(plan.preset, source), untouched)
@@ -256,8 +258,17 @@ def score(plan: Plan, scene: Scene, seed: int, source: FrameSource, rig: _Rig) -
         rmse_m, patch = min(whole, key=lambda pair: pair[0])
         iou = pixel_scores(patch.mask, known.contact).iou
         rmse_mm = finite_or_none(1e3 * rmse_m)
-        cells.append(replace(base, method=name, rmse_mm=rmse_mm, iou=iou, points=len(patch.points)))
+        missed = _force_error(patch, known)
+        cells.append(replace(base, method=name, rmse_mm=rmse_mm, iou=iou, force_error=missed, points=len(patch.points)))
     return cells
+
+
+def _force_error(patch: ContactPatch, truth: GroundTruth) -> float | None:
+    """Return the error of the force over the inflation as a share of the true one; None where one is not known."""
+    if patch.pressure is None or truth.force_n is None or truth.inflation_pa is None:
+        return None
+    true_mm2 = 1e6 * np.array(truth.force_n) / truth.inflation_pa
+    return finite_or_none(float(np.linalg.norm(patch.pressure.force_mm2 - true_mm2) / np.linalg.norm(true_mm2)))
 
 
 def _patches(
@@ -271,7 +282,7 @@ def _patches(
             pipeline.update(preset.with_values({**PIPELINES["fusion-rigid"], "tolerance.t": t}))
             found.append(pipeline.process(frames[-1]))
         return found
-    if name in (MEMBRANE, AVERAGED):  # only they use the measured noise
+    if name in OF_NOISE:  # only they use the measured noise
         if isinstance(rig.preset, TactuneError):
             raise rig.preset
         preset = rig.preset
@@ -293,7 +304,7 @@ def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
             frames = list(itertools.islice(source, FRAMES))
             for name in plan.methods:
                 with suppress(TactuneError):
-                    preset = rig.preset if name in (MEMBRANE, AVERAGED) else plan.preset
+                    preset = rig.preset if name in OF_NOISE else plan.preset
                     if name == BEST_T or isinstance(preset, TactuneError):
                         continue
                     find = make_method(name, preset, source.rig, rig.untouched)
@@ -361,17 +372,22 @@ def cell_line(cells: Sequence[Cell]) -> str:
 def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) -> str:
     """Return the table: a line for each sensor and method."""
     presses = [press for press in PRESSES if any(cell.press == press for cell in cells)]
-    lines = [["sensor", "method", *presses, "IoU", "empty", *(f"ms {press}" for press in presses)]]
+    lines = [["sensor", "method", *presses, "IoU", "force %", "empty", *(f"ms {press}" for press in presses)]]
     for sensor, method in _names(cells, "sensor", "method"):
         mine = [cell for cell in cells if (cell.sensor, cell.method) == (sensor, method)]
         ious = [cell.iou for cell in mine if cell.iou is not None]
+        errors = [100 * cell.force_error for cell in mine if cell.force_error is not None and cell.press != "low"]
+        force = median(errors) if errors else None
         empty = sum(1 for cell in mine if cell.failure and cell.true_mm2 >= MIN_TOUCHED_MM2)
         rmses = [_number(mean_rmse_mm(cell for cell in mine if cell.press == press), 2) for press in presses]
         ms = [_number(times.get((sensor, method, press)), 1) for press in presses]
-        lines.append([sensor, method, *rmses, _number(fmean(ious) if ious else None, 3), str(empty), *ms])
+        lines.append(
+            [sensor, method, *rmses, _number(fmean(ious) if ious else None, 3), _number(force, 1), str(empty), *ms]
+        )
     note = (
         "RMSE to the true contact in mm (symmetric), mean over membranes, seeds and objects. best-t: the tolerance\n"
-        f"test with the best t of each frame. empty: presses without a patch although {MIN_TOUCHED_MM2:g} mm2 or more\n"
+        "test with the best t of each frame. force: median error at medium and high press, of the force over the\n"
+        f"inflation. empty: presses without a patch although {MIN_TOUCHED_MM2:g} mm2 or more\n"
         "touch. ms: per frame, on all cores, first object and membrane."
     )
     return "\n".join([aligned(lines), note, *_failures(cells)])

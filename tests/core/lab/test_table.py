@@ -122,5 +122,5 @@ def test_the_text_tells_missing_patches():
     ]  # fmt: skip
     text = table_text(cells, {("a", "fusion-membrane", "low"): 3.14})
     line = next(line for line in text.splitlines() if "fusion-membrane" in line)
-    assert line.split() == ["a", "fusion-membrane", "1.00", "-", "1", "3.1"]
+    assert line.split() == ["a", "fusion-membrane", "1.00", "-", "-", "1", "3.1"]
     assert "mechanics: it gave up" in text
