@@ -40,6 +40,8 @@ _GUESSED: Final = 2.0
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
 #: around tells its tension.
 _MARGIN, _RAMP, _REACH = 2.0, 3.0, 10.0
+#: With two cameras, what the proximity camera sees farther behind the membrane is no contact, share of the distance.
+_BOTH_SHARE: Final = 0.05
 #: Error of the force by the model, share: tension that differs with direction and place.
 _MODEL_SHARE: Final = 0.05
 #: Largest share of a contact pressure in a contact that tells where it ends.
@@ -90,7 +92,7 @@ class PressureTest(ContactTest):
             self._touching = now.contact(preset.pressure)
             self._seen = NO_CANDIDATES
             if self._touching.any():
-                self._seen = pixels.candidates(frame, np.inf)
+                self._seen = pixels.candidates(frame, _BOTH_SHARE)
             inside = self._at_pixels(self._touching, frame, self._seen)
             self._pressed = Candidates(self._seen.pixels[inside], self._seen.points[inside])
         if due("clusters"):
