@@ -103,7 +103,7 @@ class StepRow(QFrame):
             below.setFixedHeight(work.cancel.sizeHint().height())
             work.progress.setAccessibleName(f"Progress of {title.lower()}")
         buttons = [*([] if work is None else [work.start]), *more]
-        head = hbox(self.mark, heading, STRETCH, *buttons, margins=0)
+        head = hbox(self.mark, heading, STRETCH, *buttons, margins=0, spacing=6)
         vbox(head, hbox(self.mark.width(), (below, 1), margins=0), within=self, margins=(6, 4, 6, 4), spacing=0)
 
     def known(self, preset: Preset) -> str:
