@@ -66,7 +66,7 @@ _DRIFT_SIGMA_M: Final = 0.0007
 _PRINT_SIGMAS, _MIN_AGREEING = 2.5, 0.5
 #: A measured bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to
 #: miss a contact is a larger error than to show it too wide.
-_LEAN: Final = 0.4
+_LEAN: Final = 0.8
 _MAX_LEAN_SIGMA_M: Final = 0.001
 
 

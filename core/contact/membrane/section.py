@@ -72,7 +72,7 @@ class MembraneSection(Section):
             step=1.0,
             limits=(0.0, 1e6),
         ),
-    ] = 15.0
+    ] = 8.0
     frames: Annotated[
         int,
         described(
