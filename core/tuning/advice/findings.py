@@ -23,6 +23,7 @@ from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
 from ...preset import Preset
 from ...rig.bias import UNKNOWN_BIAS_M, MeasuredBias, pressed_bias, print_bias, scene_bias
+from .fields import suggest_tolerance
 from .mask import find_prints
 from .proposal import Evidence, Finding, Proposal
 from .suggest import propose_alignment
@@ -45,6 +46,8 @@ _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
 #: An object in contact dents the membrane. Curvature of a slightly bulged membrane, 1/m, and the smallest dent that can
 #: be told from noise, metres.
 _BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
+#: The tolerance fits the noise between these multiples of what it asks for.
+_FIT: Final = (0.5, 3.0)
 _SMALLEST: Final = {
     "membrane": ("membrane.min_area_mm2", "Smallest contact"),
     "tolerance": ("outliers.min_cluster_area_mm2", "Smallest cluster"),
@@ -242,6 +245,20 @@ def unknown_bias(it: Situation) -> Finding | None:
     return Finding("unknown_bias", "membrane.bias", sentence, action="measure_noise")
 
 
+def unfit_tolerance(it: Situation) -> Finding | None:
+    """The tolerance is far from what the measured noise asks for: it leaves holes, or passes what hovers."""
+    preset = it.preset
+    if preset.contact_test != "tolerance" or preset.noise is None:
+        return None
+    proposal = suggest_tolerance(Evidence(preset, it.rig, (it.frame,), it.untouched), lambda *_: None)
+    due, present = float(proposal.changes.get("tolerance.t", preset.tolerance.t)), preset.tolerance.t
+    if due * _FIT[0] <= present <= due * _FIT[1]:
+        return None
+    is_wide = "what hovers up to that distance counts as contact" if present > due else "noise makes holes in contact"
+    sentence = f"The tolerance is {100 * present:g} %; the measured noise asks for {100 * due:g} %: {is_wide}."
+    return Finding("unfit_tolerance", "tolerance.t", sentence, proposal)
+
+
 def bulge(it: Situation) -> Finding | None:
     """The membrane test uses another curvature of the free membrane than the measured one."""
     facts = it.patch.membrane
@@ -295,7 +312,7 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, bulge, false_contact,
+    no_depth, covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, bulge, false_contact,
 )  # fmt: skip
 
 

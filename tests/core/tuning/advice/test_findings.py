@@ -222,3 +222,14 @@ class TestFalseContact:
         assert "where it was" in found["false_contact"].sentence
         _, pressed = scene(PRESSED)
         assert "false_contact" not in findings(TOLERANCE, rig, pressed, untouched)
+
+
+@pytest.mark.parametrize(("factor", "is_found"), [(0.3, True), (1.0, False), (2.0, False), (6.0, True)])
+def test_a_tolerance_that_does_not_fit_the_measured_noise_is_found(factor, is_found):
+    rig, frame = scene(PRESSED)
+    due = 2 * np.hypot(0.0008, 0.0008) / 0.3  # twice the deviation of the difference, at the distance of the noise
+    preset = TOLERANCE.with_value("tolerance.t", factor * due).model_copy(update={"noise": noise(0.0008)})
+    found = findings(preset, rig, frame)
+    assert ("unfit_tolerance" in found) == is_found
+    if is_found:
+        assert mended(found["unfit_tolerance"], preset, rig, frame)
