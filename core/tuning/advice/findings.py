@@ -312,7 +312,8 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, bulge, false_contact,
+    no_depth, covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, bulge,
+    false_contact,
 )  # fmt: skip
 
 
