@@ -15,7 +15,7 @@ _DOES = Qt.ItemDataRole.UserRole + 1
 
 
 class Search(QLineEdit):
-    """Offers the entries whose names contain what is typed; Enter chooses the first, Esc leaves."""
+    """Offers the entries whose names contain what is typed; Enter chooses the marked one, else the first; Esc leaves."""
 
     def __init__(self, entries: Callable[[], Iterable[Entry]], leave: Callable[[], object]) -> None:
         super().__init__()
@@ -51,9 +51,13 @@ class Search(QLineEdit):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         key = None if event is None else event.key()
         if key in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self.text():
-            found = self._completer.completionModel()
-            if found is not None and found.rowCount():
-                self._choose(found.index(0, 0))
+            popup, found = self._completer.popup(), self._completer.completionModel()
+            rows = [] if found is None else [found.index(row, 0) for row in range(found.rowCount())]
+            if popup is not None and popup.isVisible() and popup.currentIndex().isValid():
+                rows = [popup.currentIndex()]  # the popup hands Enter on to this field
+            chosen = next((row for row in rows if row.data(_DOES) is not None), None)
+            if chosen is not None:
+                self._choose(chosen)
         elif key == Qt.Key.Key_Escape:
             self.clear()
             self._leave()

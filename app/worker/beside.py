@@ -80,7 +80,7 @@ class BackgroundCompiler:
         except Exception:  # the first frame meets the same error and tells it
             logging.getLogger(__name__).exception("The contact test could not be compiled in advance.")
             self._end(preset)
-        self._thread = None
+        self._thread, self._looked_behind = None, None
         self._changed()  # another test may be missing by now
 
     def _tell(self, _share: float, words: str) -> None:

@@ -145,7 +145,12 @@ class Worker(QThread):
 
     def set_cameras_moved(self, moved: bool) -> None:
         """Say in the doubt about patches that a check for drift found a moved camera, until another source is open."""
-        self._orders.put(lambda: self._processor.set_cameras_moved(moved))
+
+        def say() -> None:
+            self._processor.set_cameras_moved(moved)
+            self._redo = True
+
+        self._orders.put(say)
 
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
         self._orders.put(lambda: self._set_option(camera, name, value))

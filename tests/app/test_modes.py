@@ -38,6 +38,20 @@ def test_keys_choose_a_mode_and_its_controls_and_nothing_else_moves(window):
     assert places(window, *fixed) == before
 
 
+def test_enter_runs_the_entry_that_the_arrows_marked(window, qtbot):
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_P, CONTROL_SHIFT)
+    QTest.keyClicks(window.search, "view")
+    popup = window.search.completer().popup()
+    rows = [popup.model().index(row, 0) for row in range(popup.model().rowCount())]
+    wanted = next(row for row in rows if "Top view" in row.data())
+    for _ in range(wanted.row() + 1):
+        QTest.keyClick(popup, Qt.Key.Key_Down)
+    with qtbot.waitSignal(window.actions_.top_view.triggered):
+        QTest.keyClick(popup, Qt.Key.Key_Return)
+
+
 def test_the_mode_is_remembered(make_window, qtbot):
     window = make_window()
     QTest.keyClick(window, Qt.Key.Key_3, CONTROL)

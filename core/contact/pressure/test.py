@@ -22,7 +22,6 @@ from ...errors import RigMismatchError
 from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
-from ..alignment import tactile_pose
 from ..contact_test import MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
 from .section import PressureSection
 
@@ -151,6 +150,7 @@ class _Rest:
     """The untouched membrane, and the window that the noise asks for."""
 
     def __init__(self, pixels: Pixels, preset: Preset) -> None:
+        from ..alignment import tactile_pose  # loads kernels
         from . import surface
 
         assert pixels.untouched is not None

@@ -13,7 +13,7 @@ from PyQt6.QtTest import QTest
 
 from fakes import at_rest
 from foxglove_client import FoxgloveClient
-from hands import CONTROL_SHIFT, LEFT, show_source, type_into, type_path
+from hands import LEFT, show_source, type_into, type_path
 from tactune.core import PoseTracker
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
@@ -120,11 +120,11 @@ def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
 
 
 def poses_are_published_also_behind_another_tab(qtbot, tab, source):
-    publishing = tab.main.publishing.window
+    publishing = tab.main.publishing.panel
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    QTest.keyClick(tab.main, Qt.Key.Key_P, CONTROL_SHIFT)
+    QTest.keyClick(tab.main, Qt.Key.Key_F8)
     type_into(publishing.port, str(port), Qt.Key.Key_Tab)
     QTest.mouseClick(publishing.start, LEFT)
     qtbot.waitUntil(lambda: str(port) in publishing.state.text())
