@@ -106,6 +106,10 @@ class PublishControl(QObject):
         self._closed = Event()
         self.panel = PublishPanel()
         self.panel.show_connections(self._remembered())
+        panel = self.panel
+        for edited in (panel.foxglove.toggled, panel.ros2.toggled, panel.port.valueChanged, panel.domain.valueChanged):
+            edited.connect(self._remember)
+        panel.namespace.textChanged.connect(self._remember)
         self._timer = QTimer(self)
         self._timer.setInterval(_INTERVAL_MS)
         self._timer.timeout.connect(self._show)
@@ -124,7 +128,6 @@ class PublishControl(QObject):
             self._stop()
             return
         connections = self.panel.connections
-        self._remember(connections)
         self.panel.show_state(True, "Starting…")
         self.panel.start.setEnabled(False)
 
@@ -166,9 +169,9 @@ class PublishControl(QObject):
             return TypeAdapter(Connections).validate_json(self._context.settings.text("publish"))
         return Connections(foxglove=True)
 
-    def _remember(self, connections: Connections) -> None:
+    def _remember(self) -> None:
         """Remember all but the address: listening beyond this computer is asked for each time."""
-        kept = replace(connections, host=LOOPBACK)
+        kept = replace(self.panel.connections, host=LOOPBACK)
         self._context.settings.set("publish", TypeAdapter(Connections).dump_json(kept).decode())
 
 

@@ -1,5 +1,6 @@
 """Publishing in the mode *Record and run*, seen by a Foxglove client of another make."""
 
+import json
 import socket
 import time
 
@@ -88,6 +89,12 @@ def test_a_new_window_remembers_the_settings_but_is_off(publishing, window, make
     assert not again.publishing.panel.start.isChecked()
     assert again.publishing.panel.port.value() == port
     assert again.publishing.panel.host.text() == "127.0.0.1"
+
+
+def test_what_was_typed_is_kept_without_a_start(publishing, window, port):
+    type_into(publishing.namespace, "left", Qt.Key.Key_Tab)
+    kept = json.loads(window.settings.text("publish"))
+    assert (kept["port"], kept["namespace"], kept["host"]) == (port, "left", "127.0.0.1")
 
 
 def test_a_window_that_closes_while_publishing_starts_stops_listening(publishing, window, qtbot):
