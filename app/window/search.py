@@ -15,7 +15,7 @@ _DOES = Qt.ItemDataRole.UserRole + 1
 
 
 class Search(QLineEdit):
-    """Offers the entries whose names contain what is typed; Enter chooses the marked one, else the first; Esc leaves."""
+    """Offers the entries whose names contain what is typed; Enter chooses the marked or first one; Esc leaves."""
 
     def __init__(self, entries: Callable[[], Iterable[Entry]], leave: Callable[[], object]) -> None:
         super().__init__()
