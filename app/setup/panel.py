@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
@@ -62,6 +62,11 @@ def _unbiased(preset: Preset) -> str:
 def _find_rest(name: str, progress: Progress) -> int:
     with open_source(name, part_of(progress, 0, 2)) as source:
         return place_at_rest(source, part_of(progress, 1, 2))
+
+
+def _judged(preset: Preset) -> dict[str, Any]:
+    """Return the values of a preset that a verdict depends on."""
+    return preset.model_dump(exclude={"name", "notes", "untouched"})
 
 
 class StepRow(QFrame):
@@ -145,12 +150,13 @@ class SetUpPanel(QWidget):
         self._running = self._waiting = False
         self._again: set[StepRow] = set()
         self._chosen: StepRow | None = None
+        self._judged: dict[str, Any] = {}  # the values that the verdict is about
         self._place: int | None = None  # in a recording, where nothing touches the membrane
         self._search = Job(self)
         self._search.done.connect(self._found_rest)
-        self._search.failed.connect(lambda _: self._found_rest(None))
+        self._search.failed.connect(self._search_failed)
         document = context.document
-        bias = BiasStep(context)
+        bias = self._bias = BiasStep(context)
         self.source = StepRow(
             "Source",
             "Nothing is open.",
@@ -194,7 +200,18 @@ class SetUpPanel(QWidget):
         context.worker.opened.connect(self._opened)
         context.worker.openFailed.connect(lambda *_: self._go_on(False))
         context.frameShown.connect(lambda: self._go_on(True))
-        document.presetChanged.connect(lambda _: self._show())
+        document.presetChanged.connect(self._preset_changed)
+        self._show()
+
+    def _preset_changed(self, preset: Preset) -> None:
+        """Forget the verdict on other values, and in a preset that knows no rig what was suggested for one."""
+        knows_a_rig = preset.noise is not None or preset.untouched is not None
+        for row in (self.suggestions, self.verdict):
+            if row.work is None or row.work.found is None:
+                continue
+            if not (knows_a_rig if row is self.suggestions else _judged(preset) == self._judged):
+                row.work.found = None
+                row.work.sentence.clear()
         self._show()
 
     def choose(self, row: StepRow) -> None:
@@ -218,9 +235,12 @@ class SetUpPanel(QWidget):
         if self._running:
             self.stop()
             return
-        if self._next() is None:
+        self._chosen, following = None, self._next()
+        if following is None:
             self._again = {row for row in self.rows if row.work is not None}
-        self._running, self._chosen = True, None
+        elif following is not self.source and not self._bias.pressed:
+            self._again.add(self.bias)  # a bias from prints is known without the press that the next steps judge
+        self._running = True
         self._advance()
 
     def stop(self) -> None:
@@ -292,13 +312,19 @@ class SetUpPanel(QWidget):
         self._place = place
         self._advance()
 
+    def _search_failed(self, sentence: str) -> None:
+        self._found_rest(None)
+        self.headline.setText(sentence)
+
     def _step_ended(self, found: bool) -> None:
         row = next(row for row in self.rows if row.work is self.sender())
         self._chosen = None
         if found:
             self._again.discard(row)
             row.skipped = False
-        self._running = self._running and found
+        if found and row is self.verdict:
+            self._judged = _judged(self._context.document.preset)
+        self._running = self._running and (found or row.skipped)
         if self._running:
             QTimer.singleShot(0, self._advance)
         self._show()
@@ -322,6 +348,7 @@ class SetUpPanel(QWidget):
     def _opened(self, info: SourceInfo) -> None:
         """Begin again: what other cameras or another recording showed does not hold here."""
         self._info, self._again, self._chosen, self._place = info, set(), None, None
+        self._bias.pressed = ()
         self._search.cancel()
         for row in self.rows:
             row.skipped = False

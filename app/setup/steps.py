@@ -143,7 +143,7 @@ class BiasStep(Gather):
         assert noise is not None
         released = not pressed and any(look.released for look in kept)
 
-        def measure(_: Progress) -> RigNoise:
+        def measure(_: Progress) -> tuple[RigNoise, tuple[SensorFrame, ...]]:
             if released:
                 raise CalibrationError(
                     "the membrane is farther away than in the untouched frame, which was captured during a press; go "
@@ -152,16 +152,16 @@ class BiasStep(Gather):
             found = with_bias(noise, pressed, info.rig, preset, untouched)
             if found.bias_from == "unknown":
                 raise CalibrationError("no firm press was seen; press an object of 1,000 mm² or more, and hold it")
-            self.pressed = pressed
-            return found
+            return found, pressed
 
         return measure
 
-    def show_found(self, found: RigNoise) -> None:
-        self.sentence.setText(describe(found)[-1])
+    def show_found(self, found: tuple[RigNoise, tuple[SensorFrame, ...]]) -> None:
+        noise, self.pressed = found
+        self.sentence.setText(describe(noise)[-1])
 
     def changes(self) -> dict[str, Any]:
-        return {"noise": self.found.model_dump()}
+        return {"noise": self.found[0].model_dump()}
 
 
 def _held(looks: Sequence[_Look]) -> list[_Look]:

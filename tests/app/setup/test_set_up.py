@@ -43,8 +43,26 @@ def test_one_click_sets_up_the_simulated_rig(qtbot, set_up):
     assert preset.noise.bias_from == "contact"
     assert preset.mask.enabled and preset.contact_test == "membrane"
     assert 0.3 < verdict.error_mm < 3 and verdict.weakest in verdict.links
+    assert set_up.bias.work.pressed
+    window.document.edit("name", "mine")
+    assert set_up.verdict.mark.text() == "✓"
+    window.document.edit("membrane.gap_m", 0.001)
+    assert set_up.verdict.mark.text() == "○", "the verdict was about other values"
+    window.document.undo_stack.undo()
+    window.document.undo_stack.undo()
     window.document.undo_stack.undo()  # each step is one: the suggestions go
     assert not window.document.preset.mask.enabled and window.document.preset.noise is not None
+
+
+def test_a_bias_that_prints_tell_still_asks_for_the_press_that_is_judged(qtbot, set_up):
+    window = set_up.window_
+    window.document.edit_many({"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255)})
+    window.open_source("sim:cup")
+    qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
+    click(set_up.start)
+    qtbot.waitUntil(lambda: not set_up.running, timeout=300_000)
+    assert set_up.bias.work.pressed
+    assert marks(set_up) == "✓" * len(set_up.rows), set_up.headline.text()
 
 
 def test_without_a_source_it_looks_for_cameras_and_says_that_there_are_none(qtbot, set_up):
