@@ -52,6 +52,8 @@ _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
 _MANY_UNSEEN, _NOISIER = 0.2, 1.35
 #: A dent is missing, and said to be, from this evidence on.
 _MISSING: Final = -1.0
+#: Of the inflation when it was untouched, the share below which the membrane counts as deflated.
+_DEFLATED: Final = 0.1
 #: Contact pressure from this many standard deviations on adds no doubt. The boundary's error as a share of the window.
 _SURE_SIGMAS, _OF_WINDOW = 5.0, 0.5
 
@@ -75,6 +77,8 @@ class Judge:
 
         def doubt_of(contact: Candidates) -> Doubt:
             odds, reasons, boundary_mm = whole.get()
+            if pressure is not None and pressure.curvature_growth < _DEFLATED:
+                reasons = (*reasons, "membrane deflated")
             if not len(contact):
                 return Doubt(0.0, math.nan, reasons)
             area_m2 = float(pixel_areas_m2(contact.points[:, 2], self._pixels.rig.proximity.intrinsics).sum())

@@ -20,6 +20,7 @@ import numpy as np
 
 from ...errors import RigMismatchError
 from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
+from ...model.clouds import valid_depth
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
 from ..contact_test import MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
@@ -118,7 +119,7 @@ class PressureTest(ContactTest):
         rig, image = self.pixels.rig, _enlarged(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape)
         if not rig.has_proximity:
             return image
-        known = np.flatnonzero(frame.proximity_depth)
+        known = np.flatnonzero(valid_depth(frame.proximity_depth))
         found = np.full(rig.proximity.intrinsics.shape, np.nan, np.float32)
         found.reshape(-1)[known] = image.reshape(-1)[self.pixels.tactile_pixels(known, frame)]
         return found
@@ -211,7 +212,7 @@ class _Now:
         """Return the cells that carry contact pressure, each contact down to a share of its largest."""
         import cv2
 
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             limit = np.maximum(section.limit, PRESSURE_SIGMAS * self._sigma / self.grown)
             pressed = (self.relative > limit) & (self._moved_m > _MOVED_M)
         count, labels = cv2.connectedComponents(pressed.view(np.uint8), connectivity=8)
@@ -240,8 +241,9 @@ class _Now:
             weight *= inner  # at the rim the clamp's pull ends the balance
             free = (away > _MARGIN) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
             bulge = float(np.median(self.bulge_per_m[free])) if free.any() else math.nan
+            bulge = bulge if bulge > 0 else math.nan  # where it is flat, nothing tells its tension
             air, pull = surface.balance(rest.grid.points(depth_m), weight)
-            force = pull / bulge - air if bulge > 0 else np.full(3, math.nan)
+            force = pull / bulge - air
             # tension from a few independent windows, slopes along the loop, and the model
             windows = max(np.count_nonzero(free) / (4 * math.pi * rest.window**2), 1.0)
             loop_m = rest.cell_m * 2 * math.sqrt(math.pi * np.count_nonzero(weight > 0))
@@ -254,7 +256,7 @@ class _Now:
         usual = self._sigma[np.isfinite(self._sigma)]
         return PressureFacts(
             relative=Lazy(lambda: to_image(relative)),
-            relative_sigma=float(np.median(usual)) / self.grown if len(usual) else math.nan,
+            relative_sigma=float(np.median(usual)) / self.grown if len(usual) and self.grown > 0 else math.nan,
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
             inflation_pa=section.gauge_pa,
@@ -275,6 +277,8 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
         return 1.0, np.full_like(ratio, np.nan)
     grown = float(np.median(ratio[free]))
     for _ in range(3):
+        if grown <= 0:
+            break
         with np.errstate(invalid="ignore"):
             pressed = (1 - ratio / grown > 2 * sigma / grown) & free
         near = cv2.dilate(pressed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -282,7 +286,8 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
         if np.count_nonzero(left) < 0.1 * np.count_nonzero(free):
             break
         grown = float(np.median(ratio[left]))
-    return grown, np.asarray(1 - ratio / grown)
+    # without inflation nothing tells a contact pressure
+    return grown, np.asarray(1 - ratio / grown) if grown > 0 else np.full_like(ratio, np.nan)
 
 
 def _enlarged(cells: Float32Array, shape: tuple[int, int]) -> Float32Array:

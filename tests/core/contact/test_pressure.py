@@ -128,6 +128,18 @@ def test_a_bubble_that_was_inflated_more_or_less_since_is_no_contact(share):
     assert not len(patch.points)
 
 
+@pytest.mark.parametrize("shape", ["flat", "dented"])
+def test_a_deflated_membrane_is_doubted_and_no_contact(shape):
+    rig = Rig.of_one_camera(simulator_rig().tactile)
+    rest = spherical(rig, 0.2)
+    depth = np.full_like(rest.tactile_depth, 3000) if shape == "flat" else 6000 - rest.tactile_depth
+    now = SensorFrame.of_shots(rig, 0, None, Shot(depth, None, 0.0))
+    patch = ContactPipeline(PRESSURE, rig, rest).process(now)
+    assert not len(patch.points)
+    assert "membrane deflated" in patch.doubt.reasons
+    assert json.dumps(patch.pressure.record(), allow_nan=False)
+
+
 def test_a_press_at_the_rim_is_doubted(pressed):
     """A hand on the rim: only the part of a press that lies beside missing depth is seen."""
     rig, preset, frame, untouched = pressed
