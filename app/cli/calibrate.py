@@ -85,10 +85,11 @@ def check(
     from ...core.rig.untouched import load_untouched
 
     checked, origin = chosen_preset(preset, source)
+    untouched = None
     if checked.untouched is not None:
-        load_untouched(checked.untouched, Path(origin))  # if it is missing, before the source is opened
+        untouched = load_untouched(checked.untouched, Path(origin))  # if it is missing, before the source is opened
     with open_with_progress(source, checked) as opened:
-        found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame)
+        found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame, untouched)
     if found.state == "unknown":
         raise CalibrationError(found.sentence)
     warn(*found.unchecked)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
 
 Record = dict[str, Any]
 
+#: Frames, the newest, that the summary looks at, so that memory stays small however long it runs.
+_SUMMARY_FRAMES = 100_000
 #: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
@@ -112,7 +115,7 @@ def run(
             lines: Lines | None = "json" if json_lines else "text" if out is None else None
             done, records = _process(opened, pipeline, frames, save, stopped, truth, look, lines, tilt)
         if records:
-            say("\n".join(_summary(records, opened.name, chosen.name)))
+            say("\n".join(_summary(done, records, opened.name, chosen.name)))
             if out is not None:
                 say(f"wrote {out}")
             if frames is not None and done < frames and not stopped.is_set():
@@ -154,11 +157,11 @@ def _process(
     look: Look,
     lines: Lines | None,
     tilt: Estimator | None,
-) -> tuple[int, list[Record]]:
+) -> tuple[int, deque[Record]]:
     """Process, save and print up to ``frames`` frames; return their number and what the summary is made of."""
     from ...core.tuning.advice.findings import EXAMINED_EVERY, Examiner
 
-    records: list[Record] = []
+    records: deque[Record] = deque(maxlen=_SUMMARY_FRAMES)
     done, scored = 0, False
     examiner = Examiner(source.rig)
     found: tuple[Finding, ...] = ()
@@ -250,8 +253,8 @@ def _scores(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     return {"touched": bool(truth.contact.any())} | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
 
 
-def _summary(records: list[Record], source: str, preset: str) -> list[str]:
-    """Return a few lines about all frames."""
+def _summary(done: int, records: deque[Record], source: str, preset: str) -> list[str]:
+    """Return a few lines about all frames, or the newest of very many."""
     areas = [record["area_mm2"] for record in records if record["area_mm2"]]
     contact = "no contact in any of them"
     if areas:
@@ -260,8 +263,9 @@ def _summary(records: list[Record], source: str, preset: str) -> list[str]:
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
+    newest = f"; the lines below tell of the last {len(records):,}" if done > len(records) else ""
     lines = [
-        f"{counted(len(records), 'frame')} of {source} with preset {preset!r}",
+        f"{counted(done, 'frame')} of {source} with preset {preset!r}{newest}",
         contact,
         f"{sum(stages.values()):.1f} ms per frame ({details})",
     ]

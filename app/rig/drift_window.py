@@ -50,13 +50,14 @@ class DriftWindow(QDialog):
         self.capture.clicked.connect(capture)
         leave.clicked.connect(self.close)
         self._job.done.connect(self._show)
-        self._job.failed.connect(self.sentence.setText)
+        self._job.failed.connect(lambda sentence: self.sentence.setText(as_sentence(sentence)))
 
     def check(self, preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> None:
         """Check a preset on a frame, on another thread; its untouched frame lies beside ``preset_path``."""
         self.sentence.setText(_CHECKING)
         self.unchecked.clear()
         self.calibrate.setVisible(rig.has_proximity)
+        self.image.set_marks([])
         self.image.set_image(picture(frame, rig, "tactile", "color").pixels)
         self._job.start(lambda _: check_rig(preset, preset_path, rig, frame))
 

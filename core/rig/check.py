@@ -64,12 +64,15 @@ def drift_or_reason(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift | str
         return str(error)
 
 
-def check_rig(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> RigCheck:
-    """Check a preset on a frame; its untouched frame lies beside ``preset_path``."""
+def check_rig(
+    preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame, untouched: SensorFrame | None = None
+) -> RigCheck:
+    """Check a preset on a frame; its untouched frame, unless it is given, lies beside ``preset_path``."""
     membrane: MembraneDrift | str = _NO_UNTOUCHED
     if preset.untouched is not None and preset_path is not None:
         try:
-            membrane = compare_with_untouched(preset, rig, frame, load_untouched(preset.untouched, preset_path))
+            untouched = untouched or load_untouched(preset.untouched, preset_path)
+            membrane = compare_with_untouched(preset, rig, frame, untouched)
         except TactuneError as error:
             membrane = str(error)
     return RigCheck(drift_or_reason(preset, rig, frame), membrane)
