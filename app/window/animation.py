@@ -18,6 +18,7 @@ from ...core.model.files import atomic_path
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.playback import PlaybackState
+from ..worker.results import Result
 
 SUFFIXES: Final = (".gif", ".mp4")
 #: Size limits of a GIF, whose pictures are large: width in pixels, and pictures a second.
@@ -37,19 +38,21 @@ class Animation(QObject):
         self._context, self._views = context, views
         self._wanted: int | None = None
         self._width_px: int | None = None
-        self._pictures: SimpleQueue[Uint8Array] = SimpleQueue()
+        self._pictures: SimpleQueue[Uint8Array | ExportError] = SimpleQueue()
+        self._source: object = None
         self._before: PlaybackState | None = None
         self._asked.connect(self._show)
         self._ended.connect(self._go_back)
         context.frameShown.connect(self._take)
+        context.worker.failed.connect(self._fail)
 
-    def work(self, path: Path, frames: range, rate_hz: float) -> Work:
+    def work(self, path: Path, frames: range, shown: Result) -> Work:
         """Return the work that writes an animation; afterwards the window shows the frame that it showed before."""
-        is_gif = path.suffix.lower() == ".gif"
+        rate_hz, is_gif = shown.source.frame_rate_hz, path.suffix.lower() == ".gif"
         step = max(1, round(rate_hz / _GIF_RATE_HZ)) if is_gif else 1
         chosen, self._width_px = frames[::step], _GIF_WIDTH_PX if is_gif else None
         self._pictures = SimpleQueue()
-        self._before = self._context.playback
+        self._source, self._before = shown.source, self._context.playback
 
         def work(progress: Progress) -> str:
             try:
@@ -72,6 +75,8 @@ class Animation(QObject):
                     picture = self._pictures.get(timeout=_LOOK_S)
                 except Empty:
                     continue
+            if isinstance(picture, ExportError):
+                raise picture
             yield picture
 
     def _show(self, frame: int) -> None:
@@ -79,9 +84,15 @@ class Animation(QObject):
         self._context.worker.pause()
         self._take()
 
+    def _fail(self, sentence: str) -> None:
+        if self._wanted is not None:
+            self._wanted = None
+            self._pictures.put(ExportError(sentence))
+
     def _go_back(self) -> None:
         self._wanted = None
-        if self._before is not None:
+        result = self._context.result
+        if self._before is not None and result is not None and result.source is self._source:
             self._context.worker.seek(self._before.index)
             if self._before.playing:
                 self._context.worker.play()
@@ -90,6 +101,9 @@ class Animation(QObject):
         """Take the picture if the frame is on the screen, or else ask for the frame."""
         result = self._context.result
         if self._wanted is None or result is None:
+            return
+        if result.source is not self._source:
+            self._fail("another source was opened meanwhile; open the recording and export again")
             return
         if result.playback.index != self._wanted:
             self._context.worker.seek(self._wanted)
@@ -127,7 +141,14 @@ def _write_mp4(path: Path, pictures: Iterator[Uint8Array], rate_hz: float) -> No
         raise ExportError(f"cannot write {path.suffix}: this OpenCV has no encoder for it; choose .gif")
     try:
         video.write(first[:, :, ::-1])
+        count = 1
         for picture in pictures:  # the window may be resized meanwhile
             video.write(cv2.resize(picture, size)[:, :, ::-1])
+            count += 1
     finally:
         video.release()
+    reader = cv2.VideoCapture(str(path))
+    written = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+    reader.release()
+    if written < count:  # the writer says nothing of a full disk
+        raise ExportError(f"only {max(written, 0)} of {count} pictures could be written; make room on the disk")

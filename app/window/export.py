@@ -67,6 +67,8 @@ class Export(QObject):
     def _export(self, result: Result, path: Path) -> None:
         self._context.messages.clear_subject(TASK)
         try:
+            if self._job.busy:  # a second one would change what an animation is made of
+                raise ExportError("an export is running; wait for its end, or cancel it")
             self._job.start(self._work(result, path))
         except ExportError as error:
             self._job.failed.emit(str(error))
@@ -80,7 +82,7 @@ class Export(QObject):
             return self._recording(result, path)
         if path.suffix.lower() in animation.SUFFIXES:
             frames = self._frames(result)
-            return self._animation.work(path, range(*frames), result.source.frame_rate_hz)
+            return self._animation.work(path, range(*frames), result)
         return self._patch(result, path)
 
     def _frames(self, result: Result) -> tuple[int, int]:

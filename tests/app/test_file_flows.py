@@ -94,6 +94,21 @@ def test_a_cancelled_animation_leaves_no_file(window, qtbot, tmp_path):
     assert not list(tmp_path.glob("*.mp4"))
 
 
+def test_another_recording_ends_an_animation_with_a_sentence(window, qtbot, tmp_path):
+    from tactune.core.sources.folder import export_folder
+
+    export_folder(FakeSource(length=2), tmp_path / "recording")
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+    type_path(qtbot, tmp_path / "views.mp4")
+    qtbot.waitUntil(window.export_bar.isVisible)
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+    type_path(qtbot, tmp_path / "second.gif")
+    qtbot.waitUntil(lambda: any("export is running" in each for each in window.messages.sentences()))
+    drop(window, tmp_path / "recording")
+    qtbot.waitUntil(lambda: any("another source" in each for each in window.messages.sentences()))
+    assert not list(tmp_path.glob("*.mp4"))
+
+
 def test_the_calibration_is_exported_by_the_same_dialog(window, qtbot, tmp_path):
     for name, start in (("a.urdf", b"<?xml"), ("a.launch.yaml", b"# ros2"), ("a.camchain.yaml", b"cam0")):
         window.activateWindow()
