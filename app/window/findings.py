@@ -27,7 +27,7 @@ LINGER_MS = 1000
 RAIL_PX = 136
 
 _NOTHING = "Nothing is wrong with this frame."
-_NO_FRAME = "No frame was examined yet: open a source (Ctrl+O)."
+_NO_FRAME = "No patch was examined yet."
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class FindingsRail(QWidget):
         self.show_findings((), examined=False)
 
     def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
-        self.title.setText(f"Findings: {len(findings)}" if findings else "No findings")
+        self.title.setText(f"Findings: {len(findings)}" if findings else "No findings" if examined else "Findings")
         while (item := self._cards.takeAt(0)) is not None:
             widget = item.widget()
             if widget is not None:
@@ -160,7 +160,9 @@ class FindingsControl(QObject):
         for finding, shown in findings:  # the first of a field: causes come before consequences
             rows.setdefault(finding.field, shown.sentence)
         self._panel.show_findings(rows)
-        self._rail.show_findings(findings, examined=self._preset is not None)
+        result = self._context.result
+        judged = self._preset is not None and result is not None and result.patch is not None
+        self._rail.show_findings(findings, examined=judged)
         self._explain_empty()
 
     def _explain_empty(self) -> None:

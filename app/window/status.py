@@ -30,7 +30,7 @@ def patch_readings(result: Result, shown_fps: float) -> Sequence[Reading]:
         area = f"{result.area_mm2:,.0f} mm²"
         if patch.centroid_m is not None:
             x, y, z = (1e3 * value for value in patch.centroid_m)
-            centroid = minus(f"{x:.0f}, {y:.0f}, {z:.0f}")
+            centroid = minus(f"{x:z.0f}, {y:z.0f}, {z:z.0f}")
     if doubt is not None and result.area_mm2 > 0:
         touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
         if math.isfinite(doubt.boundary_error_mm):
