@@ -341,7 +341,6 @@ class MainWindow(QMainWindow):
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
         self._enable_measuring(True)
-        self.actions_.record.setEnabled(info.length is None)
         self._leave_out_missing(info.rig)
         self.settings.add_recent(RECENT, info.name)
         self.mode_bar.show_source(info.name)

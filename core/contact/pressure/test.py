@@ -147,6 +147,10 @@ class PressureTest(ContactTest):
         return BiasLimits(float("inf"), float("inf"), "the pressure test compares no two cameras")
 
 
+#: Twice the mean curvature of an inflated membrane, at least: the apex of one of 200 mm then stands out by 2.5 mm.
+_MIN_CURVATURE_PER_M: Final = 1.0
+
+
 class _Rest:
     """The untouched membrane, and the window that the noise asks for."""
 
@@ -179,7 +183,12 @@ class _Rest:
         wide = surface.curvature(surface.fit(depth_m, share, 4.0), self.grid)
         curved = wide[np.isfinite(wide)]
         self.curvature_per_m = float(np.median(curved)) if len(curved) else math.nan
-        wanted = preset.pressure.noise * max(self.curvature_per_m, 1.0)
+        if not self.curvature_per_m > _MIN_CURVATURE_PER_M:
+            raise RigMismatchError(
+                "the membrane is flat in the untouched frame, so no pressure can be told from its curvature; inflate "
+                "it and capture the frame again"
+            )
+        wanted = preset.pressure.noise * self.curvature_per_m
         window = (self.bend_noise / wanted) ** (1 / 3) / self.cell_m
         self.window = min(max(window, _WINDOWS[0]), _WINDOWS[1])
         self.sigma_per_m = self.bend_noise / (self.window * self.cell_m) ** 3

@@ -151,3 +151,11 @@ def test_a_press_at_the_rim_is_doubted(pressed):
     patch = ContactPipeline(preset, rig, free).process(beside)
     assert not claimed(patch)
     assert not len(patch.points) or "at the rim" in patch.doubt.reasons
+
+
+def test_an_untouched_membrane_that_is_flat_is_refused():
+    rig = Rig.of_one_camera(simulator_rig().tactile)
+    bubble = spherical(rig, 0.2)
+    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full_like(bubble.tactile_depth, 3000), None, 0.0))
+    with pytest.raises(RigMismatchError, match="flat"):
+        ContactPipeline(PRESSURE, rig, flat).process(bubble)
