@@ -49,7 +49,7 @@ def _aligned(preset: Preset) -> str:
     if record is None:
         return ""
     quality = record.quality
-    return f"Calibrated, off by {quality.alignment_px:.1f} px; boundary {quality.boundary_error_mm:.1f} mm."
+    return f"Off by {quality.alignment_px:.2f} px; adds {quality.boundary_error_mm:.2f} mm to the boundary."
 
 
 def _unbiased(preset: Preset) -> str:
@@ -119,7 +119,7 @@ class StepRow(QFrame):
             return self.opened
         found = self.work.found
         if isinstance(found, Verdict):
-            return f"Boundary off by {found.error_mm:.1f} mm; weakest link: {found.weakest}."
+            return f"Boundary off by {found.error_mm:.1f} mm in all; weakest link: {found.weakest}."
         return "" if found is None else self.work.sentence.text()
 
     def failure(self, preset: Preset) -> str:

@@ -150,7 +150,7 @@ class BiasStep(Gather):
                     "to a frame where nothing touches it, and capture it again"
                 )
             found = with_bias(noise, pressed, info.rig, preset, untouched)
-            if found.bias_from == "unknown":
+            if found.bias_from == "unknown" or not pressed:
                 raise CalibrationError("no firm press was seen; press an object of 1,000 mm² or more, and hold it")
             return found, pressed
 
