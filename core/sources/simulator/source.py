@@ -31,6 +31,7 @@ from ...errors import ExportError
 from ...model.clouds import truth_cloud
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
+from ...model.loading import read_file
 from ..base import Progress, SeekableSource
 from .membrane import Membrane
 from .mesh import MembraneDesign
@@ -253,7 +254,7 @@ class _PackedStates(Sequence[CleanState]):
 def load_scene(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file, or None where it is missing or damaged."""
     try:
-        packed = path.read_bytes()
+        packed = read_file(path)
         if hashlib.sha256(packed[:-_DIGEST_BYTES]).digest() != packed[-_DIGEST_BYTES:]:
             return None
         archive = ZipFile(BytesIO(packed))
