@@ -92,7 +92,7 @@ def create_memory(rig: Rig) -> SharedMemory:
     """Allocate the slots for the frames of a rig: for every array of a frame, its truth included."""
     proximity, tactile = math.prod(rig.proximity.intrinsics.shape), math.prod(rig.tactile.intrinsics.shape)
     color = math.prod(rig.proximity_color_shape)
-    sizes = 2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity
+    sizes = 2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity, 4 * proximity
     return SharedMemory(create=True, size=SLOTS * (-(-sum(map(_aligned, sizes)) // _PAGE) * _PAGE))
 
 

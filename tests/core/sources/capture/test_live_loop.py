@@ -7,6 +7,7 @@ from capture_sources import Troubled, make_frame, make_rig, recorded
 from tactune.core.errors import SourceError
 from tactune.core.sources.capture import live
 from tactune.core.sources.capture.live import LiveLoop
+from tactune.core.sources.capture.protocol import create_memory, read_frame, write_frame
 from tactune.core.sources.registry import open_source
 
 RIG = make_rig()
@@ -87,3 +88,15 @@ def test_a_folder_plays_live_by_name(nothing_left, tmp_path):
         frames = [source.next_frame() for _ in range(8)]
     for frame in frames:
         assert np.array_equal(frame.tactile_depth, make_frame(RIG, frame.sequence % 3).tactile_depth)
+
+
+def test_a_frame_of_the_simulator_fits_its_slot_with_all_of_its_truth():
+    with open_source("sim:cup?press=medium") as source:
+        frame, memory = source.next_frame(), create_memory(source.rig)
+    try:
+        copied = read_frame(memory, write_frame(memory, 0, frame))
+    finally:
+        memory.close()
+        memory.unlink()
+    np.testing.assert_array_equal(copied.truth.pressure_pa, frame.truth.pressure_pa)
+    np.testing.assert_array_equal(copied.tactile_depth, frame.tactile_depth)
