@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ...model.arrays import Int64Array
 from .messages import TRANSFORMS, TYPES
 
-#: Types of poses, of which the library knows ROS 2's only.
+#: Message types of poses. The library knows those of ROS 2 only.
 POSES: Final = (TRANSFORMS, "tf/msg/tfMessage")
 
 
