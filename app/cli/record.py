@@ -118,13 +118,16 @@ def convert(
 
 def _kind_of(target: Path) -> str:
     """Return what a target's name says that it is."""
-    if target.suffix in (".bag", ".db3"):  # such a name would become a folder
-        raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
     if "camchain" in target.name:
         return "kalibr"
     kind = next((kind for suffix, kind in _KINDS.items() if target.name.lower().endswith(suffix)), None)
     if kind is None and target.suffix in (".yaml", ".yml"):
         raise ExportError(f"{target} may be many things; add --to ros for static transforms, or --to kalibr")
+    if kind is None and target.suffix[1:].isalnum() and not target.suffix[1:].isdigit():  # take.mp4 is meant as a file
+        raise ExportError(
+            f"convert writes no {target.suffix} files; end the name of {target} in {', '.join(_KINDS)}, "
+            "or add --to folder for a folder of images"
+        )
     return kind or "folder"
 
 
