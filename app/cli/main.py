@@ -66,11 +66,13 @@ class _Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except _UsageError as error:
-            name = "" if error.ctx is None else error.ctx.command_path.removeprefix("tactune ")
-            if name not in EXAMPLES:
+            if type(error).__name__ == "NoArgsIsHelpError":  # its text is the help
                 raise
+            command = "tactune" if error.ctx is None else error.ctx.command_path
+            name = command.removeprefix("tactune").strip()
+            more = f"for example: {EXAMPLES[name]}" if name in EXAMPLES else f"{command} --help says what there is"
             said = error.format_message().rstrip(".").removeprefix("Invalid value: ").replace("\n", " ")
-            raise TactuneError(f"{name}: {said[0].lower() + said[1:]}; for example: {EXAMPLES[name]}") from error
+            raise TactuneError(f"{name}{': ' if name else ''}{said[0].lower() + said[1:]}; {more}") from error
 
     def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
         """Write usage, the groups of commands, and the options in a line."""

@@ -62,6 +62,7 @@ REFUSED = [
     ("preset suggest --source IN --frame 5000", "frames run from 0 to 3"),
     ("preset suggest --source IN --frame 6", "no frame 6"),
     *((words, "for example: tactune") for words in ("record", "convert", "calibrate", "check", "track", "run sim")),
+    *((words, "--help says") for words in ("nothing", "lab nothing", "lab table --nothing", "warmup nothing")),
     ("run --source nowhere --out OUT/new", "no source"),
     ("tune", "give --source"),
     ("preset suggest --source IN --out IN/rig.json", "remove it first"),
