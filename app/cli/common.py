@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...core.errors import ExportError, PresetError, SourceError, counted, printable
+from ...core.errors import PresetError, SourceError, counted, printable
 
 if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPipeline
@@ -116,10 +116,10 @@ def with_topics(source: str, topics: list[str] | None) -> str:
 
 
 def refuse_existing(path: Path) -> None:
-    from ...core.model.files import check_writable
+    from ...core.model.files import check_writable, taken
 
     if path.exists():
-        raise ExportError(f"{path} is already there; choose another name or remove it first")
+        raise taken(path)
     check_writable(path)
 
 

@@ -35,7 +35,7 @@ def atomic_path(target: Path | str, *, follow_link: bool = False, exclusive: boo
     temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
     try:
         if exclusive and os.path.lexists(final):
-            raise _taken(target)
+            raise taken(target)
         if final.exists() and not final.is_file():
             raise ExportError(f"cannot write {target}: it is no ordinary file; choose another place")
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -60,10 +60,11 @@ def _take_name(temporary: Path, final: Path) -> None:
             return
         final.open("xb").close()
     except FileExistsError:
-        raise _taken(final) from None
+        raise taken(final) from None
 
 
-def _taken(path: Path | str) -> ExportError:
+def taken(path: Path | str) -> ExportError:
+    """Return the refusal of a name under which there is something already, also since a moment ago."""
     return ExportError(f"{path} is already there; choose another name or remove it")
 
 

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from ..errors import ExportError
 from ..model.arrays import Float32Array, Float64Array
-from ..model.files import user_path
+from ..model.files import taken, user_path
 from ..model.frames import Rig
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
@@ -55,11 +55,12 @@ class Bag:
         self.path = user_path(path)
         self._chunks = 0
         self._is_cut_off = False
-        if self.path.exists():
-            raise ExportError(f"{self.path} is already there; choose another name or remove it")
         with self._refusals():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("xb", buffering=0)
+            try:
+                self._file = self.path.open("xb", buffering=0)
+            except FileExistsError:
+                raise taken(self.path) from None
         self._output = _Output(self._file)
         output: Any = self._output
         self._writer: Any = Writer(output, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)

@@ -125,10 +125,10 @@ def test_two_writers_leave_whole_files(name, tmp_path, start, qapp):
     check(KINDS[name], tmp_path)
 
 
-def write_new(said, name, folder, n, start_s):
+def write_new(said, name, folder, n, start):
     writer = KINDS[name].new
     assert writer is not None
-    time.sleep(max(start_s - time.monotonic(), 0))  # both processes at the same moment
+    start.wait(HUNG_S)  # both processes at the same moment
     try:
         writer(folder, n)
     except TactuneError as error:
@@ -139,10 +139,11 @@ def write_new(said, name, folder, n, start_s):
 
 @pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.new])
 def test_of_two_writers_of_one_new_name_one_is_refused(name, tmp_path, start, qapp):
-    for number in range(5):
+    for number in range(8):
         folder = tmp_path / str(number)
         folder.mkdir()
-        writers = [start(write_new, name, folder, n, time.monotonic() + 1.0) for n in range(2)]
+        together = multiprocessing.get_context("forkserver").Barrier(2)
+        writers = [start(write_new, name, folder, n, together) for n in range(2)]
         answers = [heard(said, name) for _, said in writers]
         for writer, _ in writers:
             writer.join(HUNG_S)
