@@ -13,7 +13,7 @@ from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.errors import PresetError, TactuneError, as_sentence
-from ...core.preset import Preset
+from ...core.preset import Preset, now
 from ...core.sources.base import part_of
 from ...core.tuning.advice.proposal import Evidence, Proposal
 from ...core.tuning.advice.suggest import AllProposals, suggest_all
@@ -278,6 +278,8 @@ class SuggestWindow(QDialog):
 
     def _apply(self) -> None:
         proposal = self.proposal
+        if self._section == ALL:
+            proposal = replace(proposal, changes={**proposal.changes, "suggested": now()})
         if self._document.apply(proposal):
             self._say(
                 f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the "

@@ -170,7 +170,7 @@ def measure_rig(
     if target is None:
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
         return
-    save_changed(chosen.model_copy(update={"noise": noise}), origin, target)
+    save_changed(chosen.with_value("noise", noise.model_dump()), origin, target)
     say(f"wrote {target}")
 
 

@@ -31,15 +31,15 @@ class Side:
 
 Sides = tuple[Side, Side]
 
-#: Fields that change with every file; they are no difference.
-_DATES: Final = ("created", "modified")
+#: What is said of a preset's values; it is no difference.
+_RECORDS: Final = ("created", "modified", "suggested", "verdict")
 #: Fields that stay when a side is taken over: what a preset is called, and the files and cameras that it belongs to.
 _OWN: Final = ("name", "notes", "rig", "untouched")
 
 
 def differing_fields(a: Preset, b: Preset) -> tuple[str, ...]:
     """Return the dotted paths of the fields in which two presets differ, those that `take_over` leaves last."""
-    paths = [path for path in preset_paths() if path not in _DATES and a.value(path) != b.value(path)]
+    paths = [path for path in preset_paths() if path not in _RECORDS and a.value(path) != b.value(path)]
     return tuple(sorted(paths, key=lambda path: path in _OWN))
 
 

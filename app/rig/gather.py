@@ -37,8 +37,8 @@ class Gather(QWidget):
     wanted, min_frames = 1, 1
     #: Whether the simulator makes frames for it without its object; else those that the main window plays are taken.
     at_rest = True
-    #: What to do while frames are taken.
-    prompt = "Hold everything still"
+    #: What to do while frames of cameras are taken, and what happens to those of a recording.
+    prompt, recorded = "Hold everything still", "Reading frames"
 
     ended = pyqtSignal(bool)  # whether there is a result; not, if it failed or was cancelled
     _takingFailed = pyqtSignal(str)
@@ -57,7 +57,7 @@ class Gather(QWidget):
         self.found: Any = None
         self.info: SourceInfo | None = None
         self._kept: dict[int, Any] = {}
-        self._taking = False
+        self._taking = self._preparing = False
         self._return_to: int | None = None
         self._counted, self._last_s = 0, 0.0
         self._timer = QTimer(self)
@@ -100,7 +100,24 @@ class Gather(QWidget):
         """Return what is worked on at once, without taking frames; empty if frames are to be taken."""
         return []
 
+    def prepare(self, info: SourceInfo) -> Work | None:
+        """Return the work that is done on another thread before frames are taken; `prepared` gets its result."""
+        return None
+
+    def prepared(self, found: Any) -> None:
+        """Keep what was prepared."""
+
     # Taking frames
+
+    @property
+    def doing(self) -> str:
+        """What to do while frames are taken; what happens, if nobody can do anything."""
+        if self.info is None or self.info.length is None:
+            return self.prompt
+        return "The simulator takes its object away" if self._simulated(self.info) else self.recorded
+
+    def _simulated(self, info: SourceInfo) -> bool:
+        return self.at_rest and info.name.startswith("sim:")
 
     @property
     def busy(self) -> bool:
@@ -120,14 +137,21 @@ class Gather(QWidget):
             return
         self.sentence.clear()
         self.progress.show_share(0.0, "")
-        simulated, frames = self.at_rest and info.name.startswith("sim:"), self.at_hand()
-        if frames or simulated:
+        frames, prepare = self.at_hand(), self.prepare(info)
+        if frames or self._simulated(info):
             work = self.work(frames, info)
             self._job.start(work if frames else partial(_simulated, info, self.wanted, frames, work))
-            self._show_busy()
-            return
-        self._taking = True
+        elif prepare is not None:
+            self._preparing = True
+            self._job.start(prepare)
+        else:
+            self._take()
         self._show_busy()
+
+    def _take(self) -> None:
+        result, recorder = self._context.result, self._context.worker.recorder
+        assert result is not None
+        self._taking = True
         kept: dict[int, Any] = {}
 
         def take(frame: SensorFrame) -> None:
@@ -180,7 +204,7 @@ class Gather(QWidget):
         if count > self._counted:
             self._counted, self._last_s = count, now
         share = self.share(list(self._kept.values()))
-        self.progress.show_share(_GATHERED * min(share, 1.0), f"{self.prompt}: {counted(count, 'frame')}")
+        self.progress.show_share(_GATHERED * min(share, 1.0), f"{self.doing}: {counted(count, 'frame')}")
         if share >= 1.0 or count == self.info.length:
             self._end_taking()
         elif now - self._last_s > PATIENCE_S:
@@ -211,6 +235,12 @@ class Gather(QWidget):
     # The result
 
     def _done(self, found: Any) -> None:
+        if self._preparing:
+            self._preparing = False
+            self.prepared(found)
+            self._take()
+            self._show_busy()
+            return
         self.found = found
         self._show_busy()
         self.show_found(found)
@@ -219,6 +249,7 @@ class Gather(QWidget):
         self.ended.emit(True)
 
     def _fail(self, sentence: str) -> None:
+        self._preparing = False
         self._show_busy()
         if sentence:  # empty: it was cancelled
             self.sentence.setText(as_sentence(sentence))

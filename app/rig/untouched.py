@@ -31,7 +31,7 @@ class UntouchedStep(Gather):
     """Averages the next frames while nothing touches the membrane, as one undoable step."""
 
     wanted = UNTOUCHED_FRAMES
-    prompt = "Do not touch the membrane"
+    prompt, recorded = "Do not touch the membrane", "Averaging frames"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context, push_button("Cap&ture", "Average the next frames; nothing may touch the membrane"))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
@@ -13,7 +14,6 @@ from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QScrollArea, QStack
 from ...core.errors import counted
 from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
-from ...core.rig.verdict import Verdict
 from ...core.sources.base import part_of
 from ...core.sources.registry import open_source, opens_by_name
 from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push_button, text_button
@@ -56,7 +56,25 @@ def _unbiased(preset: Preset) -> str:
     noise = preset.noise
     if noise is None or noise.bias_from == "unknown":
         return ""
-    return f"Bias {1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, from {noise.bias_from}."
+    place = "the membrane's prints" if noise.bias_from == "prints" else "a firm press"
+    return f"Bias {1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured on {place}."
+
+
+def _suggested(preset: Preset) -> str:
+    return "" if preset.suggested is None else f"Suggestions taken over on {_day(preset.suggested)}."
+
+
+def _judged(preset: Preset) -> str:
+    verdict = preset.verdict
+    if verdict is None:
+        return ""
+    links = sorted(verdict.links_mm.items(), key=lambda link: -link[1])
+    shares = ", ".join(f"{link} {error_mm:.1f}" for link, error_mm in links)
+    return f"Boundary off by {verdict.error_mm:.1f} mm ({shares}), {_day(verdict.judged)}."
+
+
+def _day(moment: datetime) -> str:
+    return f"{moment.astimezone():%Y-%m-%d}"
 
 
 def _find_rest(name: str, progress: Progress) -> int:
@@ -64,16 +82,10 @@ def _find_rest(name: str, progress: Progress) -> int:
         return place_at_rest(source, part_of(progress, 1, 2))
 
 
-def _judged(preset: Preset) -> dict[str, Any]:
-    """Return the values of a preset that a verdict depends on."""
-    return preset.model_dump(exclude={"name", "notes", "untouched"})
-
-
 class StepRow(QFrame):
     """One step: its mark, title and buttons, and below them its state, or progress and *Cancel* while it runs.
 
-    ``known`` says from the preset that it is done, with its number; empty: it is open. A step without it is done once
-    its work has a result.
+    ``known`` says from the preset that it is done, with its number; empty: it is open.
     """
 
     def __init__(
@@ -81,15 +93,13 @@ class StepRow(QFrame):
         title: str,
         intro: str,
         work: Gather | None,
-        known: Callable[[Preset], str] | None = None,
+        known: Callable[[Preset], str],
         two_cameras: bool = False,
         more: Sequence[QAbstractButton] = (),
     ) -> None:
         super().__init__()
         self.title, self.work, self.two_cameras = title, work, two_cameras
-        self.skipped, self._intro, self._known = False, intro, known
-        #: What is said of a step without work once it is done.
-        self.opened = ""
+        self.skipped, self._intro, self.known = False, intro, known
         self.mark, heading = TintedLabel(), QLabel(title)
         self.mark.setFixedWidth(self.mark.fontMetrics().horizontalAdvance("MM"))
         heading.setFont(text_font("body", bold=True))
@@ -111,31 +121,20 @@ class StepRow(QFrame):
         head = hbox(self.mark, heading, STRETCH, *buttons, margins=0, spacing=6)
         vbox(head, hbox(self.mark.width(), (below, 1), margins=0), within=self, margins=(6, 4, 6, 4), spacing=0)
 
-    def known(self, preset: Preset) -> str:
-        """Return what the step has found; empty while it is open."""
-        if self._known is not None:
-            return self._known(preset)
-        if self.work is None:
-            return self.opened
-        found = self.work.found
-        if isinstance(found, Verdict):
-            return f"Boundary off by {found.error_mm:.1f} mm in all; weakest link: {found.weakest}."
-        return "" if found is None else self.work.sentence.text()
-
-    def failure(self, preset: Preset) -> str:
-        """Return why the newest try failed or ended; empty if there was none."""
-        work = self.work
-        return "" if work is None or work.found is not None or self.known(preset) else work.sentence.text()
+    @property
+    def failure(self) -> str:
+        """Why the newest try failed or ended; empty if it has not."""
+        return "" if self.work is None or self.work.found is not None else self.work.sentence.text()
 
     def show_state(self, preset: Preset, left_out: bool, following: bool) -> None:
         """Show the state; ``following`` is the one next step."""
-        known, failed = self.known(preset), self.failure(preset)
+        known, failed = self.known(preset), self.failure
         busy = self.work is not None and self.work.busy
         skipped = "Skipped." if self.skipped and not known else ""
         self._stack.setCurrentIndex(int(busy))
-        self.mark.setText("–" if left_out or skipped else "…" if busy else "✓" if known else "!" if failed else "○")
+        self.mark.setText("–" if left_out or skipped else "…" if busy else "!" if failed else "✓" if known else "○")
         self.mark.tint("error" if failed else "accent" if known else "")
-        self.state.setText(_LEFT_OUT if left_out else known or failed or skipped or self._intro)
+        self.state.setText(_LEFT_OUT if left_out else failed or known or skipped or self._intro)
         self.setAutoFillBackground(following)
         self.setBackgroundRole(QPalette.ColorRole.AlternateBase)
 
@@ -150,7 +149,6 @@ class SetUpPanel(QWidget):
         self._running = self._waiting = False
         self._again: set[StepRow] = set()
         self._chosen: StepRow | None = None
-        self._judged: dict[str, Any] = {}  # the values that the verdict is about
         self._place: int | None = None  # in a recording, where nothing touches the membrane
         self._search = Job(self)
         self._search.done.connect(self._found_rest)
@@ -161,11 +159,12 @@ class SetUpPanel(QWidget):
             "Source",
             "Nothing is open.",
             None,
+            lambda _: self._opened_source(),
             more=[text_button(actions[name]) for name in ("open_source", "cameras")],
         )
         self.untouched = StepRow(
             "Untouched frame",
-            "Nothing may touch the membrane.",
+            "The membrane while nothing touches it.",
             UntouchedStep(context),
             _captured,
         )
@@ -179,8 +178,12 @@ class SetUpPanel(QWidget):
             more=[text_button(actions["calibrate"])],
         )
         self.bias = StepRow("Bias", "One firm press, 1,000 mm² or more, held.", bias, _unbiased, two_cameras=True)
-        self.suggestions = StepRow("Mask, test and limits", "Suggested from the press.", SuggestStep(context, bias))
-        self.verdict = StepRow("Verdict", "How far the boundary of a patch is off.", VerdictStep(context, bias))
+        self.suggestions = StepRow(
+            "Mask, test and limits", "Suggested from the press.", SuggestStep(context, bias), _suggested
+        )
+        self.verdict = StepRow(
+            "Verdict", "How far the boundary of a patch is off.", VerdictStep(context, bias), _judged
+        )
         self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)
         self.start = push_button("Set up this rig", "Run all open steps in their order; stops where you must act")
         self.start.setFont(text_font("body", bold=True))
@@ -200,18 +203,8 @@ class SetUpPanel(QWidget):
         context.worker.opened.connect(self._opened)
         context.worker.openFailed.connect(lambda *_: self._go_on(False))
         context.frameShown.connect(lambda: self._go_on(True))
-        document.presetChanged.connect(self._preset_changed)
-        self._show()
-
-    def _preset_changed(self, preset: Preset) -> None:
-        """Forget the verdict on other values, and in a preset that knows no rig what was suggested for one."""
-        knows_a_rig = preset.noise is not None or preset.untouched is not None
-        for row in (self.suggestions, self.verdict):
-            if row.work is None or row.work.found is None:
-                continue
-            if not (knows_a_rig if row is self.suggestions else _judged(preset) == self._judged):
-                row.work.found = None
-                row.work.sentence.clear()
+        document.presetChanged.connect(self._show)
+        document.fileChanged.connect(self._show)
         self._show()
 
     def choose(self, row: StepRow) -> None:
@@ -322,8 +315,6 @@ class SetUpPanel(QWidget):
         if found:
             self._again.discard(row)
             row.skipped = False
-        if found and row is self.verdict:
-            self._judged = _judged(self._context.document.preset)
         self._running = self._running and (found or row.skipped)
         if self._running:
             QTimer.singleShot(0, self._advance)
@@ -356,29 +347,35 @@ class SetUpPanel(QWidget):
                 row.work.found = None
                 if row.work.sentence.text() != OTHER_SOURCE:
                     row.work.sentence.clear()
-        length = "live" if info.length is None else counted(info.length, "frame")
-        self.source.opened = f"{info.name}, {length}."
         self._show()
 
-    def _show(self) -> None:
+    def _opened_source(self) -> str:
+        info = self._info
+        if info is None:
+            return ""
+        return f"{info.name}, {'live' if info.length is None else counted(info.length, 'frame')}."
+
+    def _show(self, *_: object) -> None:
         preset, following = self._context.document.preset, self._next()
         busy = any(row.work is not None and row.work.busy for row in self.rows)
         for row in self.rows:
             row.show_state(preset, self._left_out(row), row is following)
             if row.work is not None:
                 row.work.start.setEnabled(not busy and self._info is not None and not self._left_out(row))
+                row.work.cancel.setVisible(not self._running)  # Stop does the same
         self.start.setText("Stop" if self._running else "Set up again" if following is None else "Set up this rig")
-        self.skip.setEnabled(following is not None and following.work is not None)
+        self.start.setEnabled(self._running or not busy)
+        self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)
         self.headline.setText(self._headline(following))
 
     def _headline(self, following: StepRow | None) -> str:
         if self._waiting or self._search.busy:
             return "Looking for cameras." if self._info is None else "Looking for the untouched membrane."
-        preset = self._context.document.preset
+        document = self._context.document
         if following is None:
-            done = "Save the preset; its untouched frame is a second file beside it."
-            work = self.verdict.work
-            return done if work is None or work.found is None else f"{work.sentence.text()} {done}"
+            judged = "" if document.preset.verdict is None else document.preset.verdict.sentence
+            save = " Save the preset; its untouched frame is a second file beside it." if document.dirty else ""
+            return f"{judged}{save}".strip()
         if following.work is not None and following.work.busy:
-            return f"{following.work.prompt}."
-        return following.failure(preset) or f"Next: {following.title.lower()}."
+            return f"{following.work.doing}."
+        return following.failure or f"Next: {following.title.lower()}."

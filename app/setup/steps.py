@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,13 +10,15 @@ import numpy as np
 from ...core.calibration.check import is_worse
 from ...core.calibration.report import CalibrationReport, grade
 from ...core.contact.checks import rig_in_use
-from ...core.errors import CalibrationError, TactuneError
+from ...core.errors import CalibrationError
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import SensorFrame
-from ...core.preset import RigNoise
+from ...core.model.rig_noise import Verdict
+from ...core.preset import RigNoise, now
 from ...core.rig.noise import describe, with_bias
-from ...core.rig.untouched import load_untouched, tile_medians
-from ...core.rig.verdict import Verdict, judge_rig
+from ...core.rig.untouched import tile_medians
+from ...core.rig.verdict import judge_rig
+from ...core.sources.base import part_of
 from ...core.tuning.advice.proposal import Evidence
 from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import push_button
@@ -37,16 +38,6 @@ _HELD_M: Final = 0.002
 _HELD_FRAMES: Final = 8
 #: Frames with which suggestions are made.
 _RECENT: Final = 4
-
-
-def untouched_now(context: Context) -> SensorFrame | None:
-    """Return the preset's untouched frame, also one that was captured a moment ago; None if there is none."""
-    document, frame = context.document, context.worker.recorder.untouched
-    record, home = document.preset.untouched, document.untouched_home
-    if frame is None and record is not None and home is not None:
-        with suppress(TactuneError):
-            frame = load_untouched(record, home)
-    return frame
 
 
 class AlignmentStep(Gather):
@@ -101,7 +92,7 @@ class BiasStep(Gather):
     """Waits until an object is pressed firmly and held, and measures the bias there."""
 
     at_rest = False
-    prompt = "Press an object firmly into the membrane and hold it"
+    prompt, recorded = "Press an object firmly into the membrane and hold it", "Looking for a firm press"
 
     def __init__(self, context: Context) -> None:
         super().__init__(
@@ -113,14 +104,21 @@ class BiasStep(Gather):
         #: Frames of the newest press, for the steps that follow.
         self.pressed: tuple[SensorFrame, ...] = ()
 
-    def begin(self) -> None:
-        result, self._untouched = self._context.result, untouched_now(self._context)
-        if result is not None and not self.busy:
-            if self._untouched is None or self._document.preset.noise is None:
-                self._fail("The bias needs the untouched frame and the noise: measure these first.")
-                return
-            self._free_m = tile_medians(self._untouched.tactile_depth) * result.source.rig.tactile.depth_unit_m
-        super().begin()
+    def prepare(self, info: SourceInfo) -> Work:
+        preset, home = self._document.preset, self._document.untouched_home
+
+        def read(progress: Progress) -> SensorFrame:
+            untouched = info.find_untouched(preset, home, progress).frame if preset.untouched is not None else None
+            if untouched is None or preset.noise is None:
+                raise CalibrationError("the bias needs the untouched frame and the noise: measure these first")
+            return untouched
+
+        return read
+
+    def prepared(self, found: SensorFrame) -> None:
+        assert self.info is not None
+        self._untouched = found
+        self._free_m = tile_medians(found.tactile_depth) * self.info.rig.tactile.depth_unit_m
 
     def keep(self, frame: SensorFrame) -> _Look:
         assert self.info is not None
@@ -188,15 +186,21 @@ class SuggestStep(Gather):
         return list(self._bias.pressed[-_RECENT:])
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        preset, untouched = self._document.preset, untouched_now(self._context)
-        return lambda progress: suggest_all(Evidence(preset, info.rig, tuple(kept[-_RECENT:]), untouched), progress)
+        preset, home = self._document.preset, self._document.untouched_home
+
+        def suggest(progress: Progress) -> AllProposals:
+            untouched = info.find_untouched(preset, home, part_of(progress, 0, 2)).frame
+            evidence = Evidence(preset, info.rig, tuple(kept[-_RECENT:]), untouched)
+            return suggest_all(evidence, part_of(progress, 1, 2))
+
+        return suggest
 
     def show_found(self, found: AllProposals) -> None:
         taken = [part.label for part in found.parts if part.changes]
         self.sentence.setText(f"{'. '.join(taken) or 'Nothing to change'}.")
 
     def changes(self) -> dict[str, Any]:
-        return dict(self.found.merged.changes)
+        return {**self.found.merged.changes, "suggested": now()}
 
 
 class VerdictStep(Gather):
@@ -212,11 +216,11 @@ class VerdictStep(Gather):
         return list(self._bias.pressed[-1:])
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        preset, untouched = self._document.preset, untouched_now(self._context)
-        return lambda _: judge_rig(preset, info.rig, kept[-1], untouched)
+        preset, home = self._document.preset, self._document.untouched_home
+        return lambda progress: judge_rig(preset, info.rig, kept[-1], info.find_untouched(preset, home, progress).frame)
 
     def show_found(self, found: Verdict) -> None:
         self.sentence.setText(found.sentence)
 
     def changes(self) -> dict[str, Any]:
-        return {}
+        return {"verdict": self.found.model_dump()}

@@ -185,7 +185,7 @@ class CalibrationReport:
             values["rigid"] = RigidAlignment(T_proximity_tactile=pose)
             values |= {"depth_scale": 1.0, "depth_offset_m": self.rigid.alignment.offset_m}
         section = preset.alignment.model_copy(update=values)
-        return preset.model_copy(update={"alignment": section, "rig": self.rig, "modified": now()})
+        return preset.model_copy(update={"alignment": section, "rig": self.rig, "verdict": None, "modified": now()})
 
     def words(self) -> str:
         lines = [f"Model: {self.model}. {self.reason}"]

@@ -1,16 +1,24 @@
-"""The measured noise of both cameras and the bias between them; `tactune.core.rig` measures them."""
+"""What `tactune.core.rig` measures of a rig and a preset stores: noise, bias, and the verdict on the boundary."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
 from .sections import Section, stored
 
 BiasOrigin = Literal["prints", "contact", "unknown"]
+Link = Literal["alignment", "bias", "noise", "missing depth"]
+_ADVICE: Final[Mapping[Link, str]] = {
+    "alignment": "more points, at another inflation, improve it",
+    "bias": "a firm press of a larger object measures it better",
+    "noise": "averaged frames reduce it where the object does not move",
+    "missing depth": "light the membrane evenly, and check that the tactile camera sees all of it",
+}
 
 _Noise = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -90,3 +98,32 @@ class RigNoise(Section):
     ] = 0.0
     measured: Annotated[datetime, stored("Measured", "Date and time of the measurement.")]
     frames: Annotated[int, stored("Frames", "Number of frames that were measured.", unit="frames", limits=(1, 100_000))]
+
+
+class Verdict(Section):
+    """How far the boundary of a patch is off, by the links of the chain of measurement."""
+
+    links_mm: Annotated[
+        dict[Link, Annotated[float, Field(ge=0.0)]],
+        stored("Links", "Error of the boundary by each link, millimetres; their squares add up."),
+        Field(min_length=1),
+    ]
+    reasons: Annotated[tuple[str, ...], stored("In doubt", "Reasons to doubt the patch that was judged.")] = ()
+    judged: Annotated[datetime, stored("Judged", "Date and time of the verdict.")]
+
+    @property
+    def error_mm(self) -> float:
+        return math.hypot(*self.links_mm.values())
+
+    @property
+    def weakest(self) -> Link:
+        return max(self.links_mm, key=lambda link: self.links_mm[link])
+
+    @property
+    def sentence(self) -> str:
+        """The error, the weakest link and what improves it."""
+        doubts = f" In doubt: {', '.join(self.reasons)}." if self.reasons else ""
+        return (
+            f"The boundary of a patch is off by about {self.error_mm:.1f} mm. Weakest link: {self.weakest} "
+            f"({self.links_mm[self.weakest]:.1f} mm); {_ADVICE[self.weakest]}.{doubts}"
+        )

@@ -20,7 +20,7 @@ from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, now, parse_preset
 #: Fields that earlier versions wrote and this one does not know. A preset with one loads, and a note names it.
 GONE: Final = ("noise.slow_m",)
 #: Fields without a date of change in the notes, and how a note of a search begins.
-_UNDATED: Final = ("tool_version", "name", "notes", "created", "modified", "rig", "cameras")
+_UNDATED: Final = ("name", "notes", "created", "modified", "rig", "cameras", "suggested", "verdict")
 _SEARCHED: Final = "Trial "
 
 

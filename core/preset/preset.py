@@ -21,7 +21,7 @@ from ..contact.tolerance import OutlierSection, ToleranceSection
 from ..errors import PresetError, foreign
 from ..model.alignment import AlignmentSection
 from ..model.frames import Rig
-from ..model.rig_noise import RigNoise
+from ..model.rig_noise import RigNoise, Verdict
 from ..model.sections import (
     CamerasSection,
     MaskSection,
@@ -30,6 +30,7 @@ from ..model.sections import (
     Section,
     UntouchedRecord,
     described,
+    stored,
 )
 
 Document = dict[str, Any]
@@ -37,6 +38,8 @@ Document = dict[str, Any]
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 SCHEMA_VERSION: Final[Literal[1]] = 1
 
+#: Fields on which no verdict depends.
+_UNJUDGED: Final = ("name", "notes", "created", "modified", "rig", "cameras", "untouched", "suggested", "verdict")
 #: A message names at most this many bad fields.
 _MAX_ERRORS: Final = 9
 
@@ -112,6 +115,14 @@ class Preset(_WithTests):
             hidden=True,
         ),
     ] = None
+    suggested: Annotated[
+        datetime | None,
+        stored("Suggested", "When the suggestions for mask, contact test and limits were taken. Empty: never."),
+    ] = None
+    verdict: Annotated[
+        Verdict | None,
+        stored("Verdict", "How far the boundary of a patch is off with these values. Empty: not judged."),
+    ] = None
 
     @property
     def test(self) -> type[ContactTest]:
@@ -134,7 +145,14 @@ class Preset(_WithTests):
         data = self.model_dump(mode="python")
         for path, value in values.items():
             set_path(data, path, value)
-        return parse_preset(data, origin="preset")
+        after = parse_preset(data, origin="preset")
+        if after.verdict is None or "verdict" in values or after.judged_values() == self.judged_values():
+            return after
+        return after.model_copy(update={"verdict": None})
+
+    def judged_values(self) -> Document:
+        """Return the values on which a verdict depends."""
+        return self.model_dump(exclude=set(_UNJUDGED))
 
     def value(self, path: str) -> Any:
         """Return the field at a dotted path, such as ``"tolerance.t"``."""

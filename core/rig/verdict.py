@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,39 +11,11 @@ from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
-from ..preset import Preset, RigNoise
+from ..model.rig_noise import Link, RigNoise, Verdict
+from ..preset import Preset, now
 
-Link = Literal["alignment", "bias", "noise", "missing depth"]
 #: Standard deviation of a bias that is as good as known, metres.
 _KNOWN_BIAS_M = 0.0001
-_ADVICE: Mapping[Link, str] = {
-    "alignment": "more points, at another inflation, improve it",
-    "bias": "a firm press of a larger object measures it better",
-    "noise": "averaged frames reduce it where the object does not move",
-    "missing depth": "light the membrane evenly, and check that the tactile camera sees all of it",
-}
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Expected error of a patch's boundary and its share by each link, millimetres; reasons for doubt in words."""
-
-    error_mm: float
-    links: Mapping[Link, float]
-    reasons: tuple[str, ...] = ()
-
-    @property
-    def weakest(self) -> Link:
-        return max(self.links, key=lambda link: self.links[link])
-
-    @property
-    def sentence(self) -> str:
-        """The error, the weakest link and what improves it."""
-        doubts = f" In doubt: {', '.join(self.reasons)}." if self.reasons else ""
-        return (
-            f"The boundary of a patch is off by about {self.error_mm:.1f} mm. Weakest link: {self.weakest} "
-            f"({self.links[self.weakest]:.1f} mm); {_ADVICE[self.weakest]}.{doubts}"
-        )
 
 
 def _edge_error_mm(pipeline: ContactPipeline, noise: RigNoise, rig: Rig, pressed: SensorFrame) -> float:
@@ -84,4 +54,4 @@ def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorF
         raise CalibrationError(
             "nothing tells the error of the boundary: neither alignment nor noise was measured; measure one of them"
         )
-    return Verdict(math.sqrt(sum(each**2 for each in links.values())), links, doubt.reasons)
+    return Verdict(links_mm=links, reasons=doubt.reasons, judged=now())

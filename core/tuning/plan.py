@@ -23,7 +23,18 @@ from ..sources.registry import open_source
 TRIALS: Final = 60
 MAX_GRID: Final = 10_000
 #: Begins of the paths of fields that cannot vary.
-_FIXED: Final = ("name", "notes", "created", "modified", "rig", "alignment.calibration", "cameras.", "untouched")
+_FIXED: Final = (
+    "name",
+    "notes",
+    "created",
+    "modified",
+    "rig",
+    "alignment.calibration",
+    "cameras.",
+    "untouched",
+    "suggested",
+    "verdict",
+)
 _RANGE: Final = re.compile(r"([^:]+):([^:]+?)(:log)?")
 
 

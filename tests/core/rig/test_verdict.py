@@ -36,7 +36,7 @@ def test_a_badly_measured_bias_is_the_weakest_link(press):
 
 @pytest.mark.parametrize("test", ["tolerance", "dent"])
 def test_tests_without_a_bound_of_their_own_are_judged_by_the_noise(press, test):
-    assert 0.1 < judged(press, test, 0.0002).links["noise"] < 10
+    assert 0.1 < judged(press, test, 0.0002).links_mm["noise"] < 10
 
 
 def test_without_contact_there_is_nothing_to_judge(press):
