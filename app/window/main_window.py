@@ -127,7 +127,7 @@ class MainWindow(QMainWindow):
         self.suggest = SuggestControl(self.context)
         shared = [getattr(self.actions_, name) for name in _SHARED_ACTIONS]
         self.analysis = AnalysisLauncher(self.context, self.actions_.play, shared)
-        self._closing = False
+        self._given_up: Preset | None = None  # unsaved, and may be lost
         self._lay_out()
         self._connect()
         self.restore_layout()
@@ -332,7 +332,7 @@ class MainWindow(QMainWindow):
 
     def _enable_measuring(self, enabled: bool) -> None:
         actions = self.actions_
-        for action in (actions.record, actions.calibrate, actions.check_drift, actions.suggest_all):
+        for action in (actions.calibrate, actions.check_drift, actions.suggest_all):
             action.setEnabled(enabled)
         if not enabled:
             actions.export.setEnabled(False)  # enabled with the first frame
@@ -503,13 +503,14 @@ class MainWindow(QMainWindow):
         """Ask about unsaved changes and finish a recording; then remember the layout and stop the worker."""
         if event is None:
             return
-        if not self._closing and self.document.dirty:
+        if self.document.dirty and self.document.preset is not self._given_up:
             event.ignore()
+            self._given_up = None
             self.file_flows.guarded(self.close_without_asking)
             return
         if self.recording.running:
             event.ignore()
-            self.recording.finish(self.close_without_asking)
+            self.recording.finish(self.close)
             return
         self.remember_layout()
         self.shut_down()
@@ -533,5 +534,5 @@ class MainWindow(QMainWindow):
         self.worker.shut_down()
 
     def close_without_asking(self) -> None:
-        self._closing = True
+        self._given_up = self.document.preset
         self.close()

@@ -25,7 +25,8 @@ from ..context import TASK, Context
 from ..settings import default_recordings_folder
 from ..sources.pages import RECENT
 from ..worker.recorder import RecordingEnd
-from ..worker.results import SourceState
+from ..worker.results import SourceInfo, SourceState
+from ..worker.worker import NOT_LIVE
 
 REFRESH_MS = 250
 #: Free space that a recording needs to start and to continue, in bytes.
@@ -39,8 +40,9 @@ class RecordingBar(QFrame):
 
     def __init__(self, context: Context, action: QAction) -> None:
         super().__init__()
-        self._context, self._action = context, action
+        self._context, self._action, self._tip = context, action, action.toolTip()
         self._worker, self._settings, self._messages = context.worker, context.settings, context.messages
+        self._live = self._finishing = False
         self._path: Path | None = None
         self._started_s = 0.0
         self._lost = self._lost_before = 0
@@ -70,10 +72,12 @@ class RecordingBar(QFrame):
         self._refresh.timeout.connect(self._show_progress)
         worker = self._worker
         action.triggered.connect(self._toggle)
+        worker.opened.connect(self._opened)
         worker.recordingStarted.connect(self._started)
         worker.recordingFailed.connect(self._failed)
         worker.recordingEnded.connect(self._ended)
         worker.stateChanged.connect(self._source_changed)
+        self._show_action()
 
     @property
     def running(self) -> bool:
@@ -131,7 +135,8 @@ class RecordingBar(QFrame):
     def _show_finishing(self) -> None:
         if self._path is not None:
             self._name.setText(f"Finishing {self._path.name}…")
-            self._action.setEnabled(False)
+            self._finishing = True
+            self._show_action()
 
     def _show_progress(self) -> None:
         status = self._worker.recorder.status()
@@ -152,9 +157,8 @@ class RecordingBar(QFrame):
             self._worker.stop_recording(f"only {size(free)} are free: free some space, or choose another folder")
 
     def _ended(self, end: RecordingEnd) -> None:
-        self._path = None
+        self._path, self._finishing = None, False
         self._refresh.stop()
-        self._action.setEnabled(True)
         self.hide()
         self._show_action()
         self._tell(end)
@@ -196,7 +200,13 @@ class RecordingBar(QFrame):
         """Add the frames that were lost before they reached the recorder."""
         return replace(status, dropped=status.dropped + self._lost - self._lost_before)
 
+    def _opened(self, info: SourceInfo) -> None:
+        self._live = info.length is None
+        self._show_action()
+
     def _show_action(self) -> None:
+        self._action.setEnabled((self._live or self.running) and not self._finishing)
+        self._action.setToolTip(self._tip if self._live or self.running else NOT_LIVE)
         self._action.setChecked(self.running)
         self._action.setText("Stop &recording" if self.running else "&Record")
         self._action.setIconText("Stop" if self.running else "Record")

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
@@ -40,6 +40,10 @@ if TYPE_CHECKING:
 PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
 #: Pause after each frame while a contact test is compiled, which takes turns with Python code.
 PAUSE_S = 0.15
+NOT_LIVE: Final = (
+    "Only cameras and other live sources are recorded: connect cameras (F3), or export a part of this recording "
+    "(File > Export)."
+)
 
 
 class Worker(QThread):
@@ -312,10 +316,7 @@ class Worker(QThread):
 
     def _start_recording(self, path: Path) -> None:
         if self._info is None or self._live is None:
-            self.recordingFailed.emit(
-                "Only cameras and other live sources are recorded: connect cameras (F3), or export a part of this "
-                "recording (File > Export)."
-            )
+            self.recordingFailed.emit(NOT_LIVE)
             return
         try:
             self.recorder.start(path, self._info.rig, self._preset, self._info.frame_rate_hz)

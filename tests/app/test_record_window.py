@@ -6,8 +6,9 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeSource
-from hands import press, show_source
+from hands import answer_question, press, show_source
 from tactune.app.window import recording
+from tactune.app.worker.worker import NOT_LIVE
 from tactune.core.sources.registry import open_source
 
 
@@ -97,9 +98,21 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     assert len(recorded(folder)) == 4
 
 
-def test_a_recording_is_not_recorded_but_exported(window, qtbot):
+def test_a_recording_is_not_recorded_and_the_tip_says_why(window, cameras, qtbot, folder):
+    record = window.actions_.record
+    assert record.isEnabled()
     show_source(qtbot, window, FakeSource(length=8), 3)
-    QTest.keyClick(window, Qt.Key.Key_F9)
-    qtbot.waitUntil(lambda: window.messages.message("recording") is not None)
-    assert "export a part" in told(window)
-    assert not window.actions_.record.isChecked()
+    assert not record.isEnabled() and record.toolTip() == NOT_LIVE
+    press_record(window)
+    assert not record.isChecked() and not folder.exists()
+
+
+def test_what_is_edited_while_a_recording_is_finished_is_asked_about(window, cameras, qtbot):
+    begin(window, qtbot)
+    window.document.edit("tolerance.t", 0.011)
+    window.close()
+    answer_question(qtbot, "discard")
+    window.document.edit("tolerance.t", 0.012)
+    cameras.give(qtbot, 1)
+    answer_question(qtbot, "cancel")
+    assert window.isVisible() and not window.recording.running
