@@ -170,7 +170,7 @@ def _process(
         for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
             scores = _scores(patch, frame.truth, source.rig) if truth else {}
-            scored |= scores.get("iou") is not None
+            scored |= scores.get("touched") is not None
             look(frame)
             save(patch, frame)
             if lines == "json":

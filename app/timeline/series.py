@@ -25,6 +25,7 @@ from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import FrameError, SourceError, TactuneError
 from ...core.model.arrays import BoolArray, Float64Array
 from ...core.model.frames import SensorFrame
+from ...core.model.metrics import pixel_scores
 from ...core.preset import Preset
 from ...core.rig.untouched import kept_untouched
 from ...core.sources.base import FrameSource
@@ -70,10 +71,9 @@ class Answer:
 def frame_values(index: int, frame: SensorFrame, patch: ContactPatch) -> FrameValues:
     iou = math.nan
     if frame.truth is not None:
-        either = np.count_nonzero(patch.mask | frame.truth.contact)
-        iou = np.count_nonzero(patch.mask & frame.truth.contact) / either if either else 1.0
+        iou = pixel_scores(patch.mask, frame.truth.contact).iou
     ms = sum(patch.stage_ms.values())
-    return FrameValues(index, patch.area_mm2, len(patch.points), ms, float(iou))
+    return FrameValues(index, patch.area_mm2, len(patch.points), ms, iou)
 
 
 def visiting_order(length: int, preset: Preset) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from enum import StrEnum
@@ -58,7 +59,7 @@ _NUMBERS: Final = {
     "Points": "Points of the patch",
     "Time": "Median time of the contact test on recent frames, while they play; ≈ where no difference shows",
     "Not in the other": "Area that only this preset finds",
-    "IoU of the patches": "Intersection over union of both patches: 1 if they cover the same pixels",
+    "IoU of the patches": "Intersection over union of both patches: 1 if they cover the same pixels of contact",
 }
 #: How records are called in the table.
 _RECORDS: Final[dict[str, Callable[[Any], str]]] = {
@@ -231,7 +232,7 @@ class ComparisonPanel(QWidget):
     def _show_frame(self, compared: ComparedFrame) -> None:
         overlap, sides = compared.overlap, (compared.a, compared.b)
         alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
-        agreement = "–" if overlap is None else f"{overlap.iou:.3f}"
+        agreement = "–" if overlap is None else "both empty" if math.isnan(overlap.iou) else f"{overlap.iou:.3f}"
         times = compared_times(compared.a.times_ms, compared.b.times_ms)
         for column, (side, area_mm2) in enumerate(zip(sides, alone, strict=True)):
             texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement, "Time": times[column]}
@@ -286,12 +287,12 @@ class ComparisonPanel(QWidget):
 
 
 def compared_times(a_ms: Sequence[float], b_ms: Sequence[float]) -> tuple[str, str]:
-    """Return the median times of two presets; one time for both where the middle halves of their times overlap."""
+    """Return the median times of two presets, marked ≈ where the middle halves of their times overlap."""
     if min(len(a_ms), len(b_ms)) < LEAST_TIMED:
         return "–", "–"
     (a_low, a, a_high), (b_low, b, b_high) = (np.percentile(ms, (25, 50, 75)) for ms in (a_ms, b_ms))
     if a_low <= b_high and b_low <= a_high:
-        return (f"≈ {(a + b) / 2:.1f} ms",) * 2
+        return f"≈ {a:.1f} ms", f"≈ {b:.1f} ms"
     return f"{a:.1f} ms", f"{b:.1f} ms"
 
 

@@ -10,6 +10,7 @@ from PyQt6.QtCore import QObject
 
 from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
+from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import copy_text
 from ...widgets.basics.messages import Severity
@@ -92,7 +93,9 @@ class FileFlows(QObject):
             self._write_preset(self._document.path, then)
 
     def save_as(self, then: Callable[[], object] | None = None) -> None:
-        suggestion = self._document.path or f"{file_name(self._document.preset.name)}.json"
+        name = file_name(self._document.preset.name)
+        own = f"my-{name}" if name in shipped_presets() else name
+        suggestion = self._document.path or f"{own}.json"
         self._dialogs.save_file(
             "preset", "Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then)
         )

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 #: Interval at which clients and rates are shown, ms.
 _INTERVAL_MS = 500
-_OFF = "Nothing is published. Tick Foxglove or ROS 2, then press Start publishing."
 
 
 class PublishPanel(QWidget):
@@ -56,7 +55,7 @@ class PublishPanel(QWidget):
         self.start = choice_button(
             "&Start publishing", "Let clients connect, or disconnect them all and stop listening"
         )
-        self.state = NoteLabel(_OFF, lines=2)
+        self.state = NoteLabel(lines=2)
         self.state.setAccessibleName("Who listens")
         vbox(grid, self.note, self.start, self.state, within=self, margins=0)
         for box in (self.foxglove, self.ros2):
@@ -82,16 +81,21 @@ class PublishPanel(QWidget):
         self.namespace.setText(connections.namespace)
         self._check()
 
-    def show_state(self, running: bool, sentence: str = _OFF, error: bool = False) -> None:
+    def show_state(self, running: bool, sentence: str = "", error: bool = False) -> None:
         self.start.setChecked(running)
         self.start.setText("&Stop publishing" if running else "&Start publishing")
         for control in (self.foxglove, self.ros2, self.port, self.domain, self.namespace, self.host):
             control.setEnabled(not running)
-        self.state.say(sentence, error)
         self._check()
+        if sentence:
+            self.state.say(sentence, error)
 
     def _check(self) -> None:
         self.start.setEnabled(self.start.isChecked() or self.foxglove.isChecked() or self.ros2.isChecked())
+        if not self.start.isChecked():
+            to = " and ".join(box.text().replace("&", "") for box in (self.foxglove, self.ros2) if box.isChecked())
+            todo = f"Start publishing sends patches to {to}" if to else "Tick Foxglove or ROS 2"
+            self.state.say(f"Nothing is published. {todo}.")
         warning = self.connections.warning
         self.note.say(f"{warning[0].upper()}{warning[1:]}." if warning else "")
 

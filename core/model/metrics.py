@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PixelScores:
-    """Agreement of a mask with the true mask, pixel by pixel; an empty denominator counts as 1."""
+    """Agreement of a mask with the true mask, pixel by pixel; nan where nothing can be compared."""
 
     iou: float  # Intersection over union
     precision: float  # Share of the mask that is true
@@ -39,12 +39,15 @@ def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
 
 
 def _share(part: int, whole: int) -> float:
-    return part / whole if whole else 1.0
+    return part / whole if whole else math.nan
 
 
 @dataclass(frozen=True)
 class PatchOverlap:
-    """How far two patches of one frame agree: intersection over union, and the area that only one of them covers."""
+    """How far two patches of one frame agree: intersection over union, and the area that only one of them covers.
+
+    Without a pixel in either, ``iou`` is nan.
+    """
 
     iou: float
     only_a_mm2: float

@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from ..errors import PresetError
+from ..errors import ExportError, PresetError
 from ..model.files import atomic_path, remove_leftovers
 from ..model.loading import MAX_JSON_BYTES, parse_json, read_file
 from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, now, parse_preset
@@ -29,6 +29,10 @@ def shipped_presets() -> list[str]:
     folder = importlib.resources.files("tactune.presets")
     names = [file.name.removesuffix(".json") for file in folder.iterdir() if file.name.endswith(".json")]
     return sorted((name for name in names if not name.endswith(".schema")), key=lambda name: (name != "default", name))
+
+
+def _shipped(name: str) -> Path:
+    return Path(str(importlib.resources.files("tactune.presets") / f"{name}.json")).resolve()
 
 
 def with_notes_of_changes(preset: Preset, before: Preset) -> Preset:
@@ -55,8 +59,7 @@ def preset_text(path_or_name: Path | str) -> tuple[str, str]:
     """Return the text of a preset file or shipped preset, and its name for messages."""
     path = Path(path_or_name)
     if str(path_or_name) in shipped_presets() and not path.is_file():
-        resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
-        return resource.read_text("utf-8"), f"shipped preset {path_or_name}"
+        return _shipped(str(path_or_name)).read_text("utf-8"), f"shipped preset {path_or_name}"
     try:
         text = read_file(path, MAX_JSON_BYTES).decode("utf-8-sig")  # Windows editors write a mark in front
     except OSError as error:
@@ -119,9 +122,11 @@ def preset_json(preset: Preset) -> str:
 def save_preset(preset: Preset, path: Path | str, *, exclusive: bool = False) -> None:
     """Save a preset atomically; `ExportError` if that fails, and whatever was there before is unchanged.
 
-    An ``exclusive`` one is refused where there is a file.
+    An ``exclusive`` one is refused where there is a file, and any in the place of a shipped preset.
     """
     path = Path(path)
+    if path.stem in shipped_presets() and path.resolve() == _shipped(path.stem):
+        raise ExportError(f"{path} comes with Tactune and stays as it is; save under another name")
     remove_leftovers(path.parent, path.name)
     with atomic_path(path, follow_link=True, exclusive=exclusive) as temporary:
         temporary.write_text(preset_json(preset), "utf-8")

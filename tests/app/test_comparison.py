@@ -17,6 +17,7 @@ from hands import (
     type_path,
 )
 from tactune.app.document.comparison import Side
+from tactune.app.window.comparison import compared_times
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
@@ -74,7 +75,20 @@ def test_a_side_that_does_not_fit_the_rig_says_why_and_the_other_one_is_shown(pr
     assert compared.overlap is None
 
 
+def test_times_that_cannot_be_told_apart_are_marked_and_stay_their_own():
+    assert compared_times([1, 2, 3, 4, 5], [2, 3, 4, 5, 6]) == ("≈ 3.0 ms", "≈ 4.0 ms")
+    assert compared_times([1, 2, 3, 4, 5], [7, 8, 9, 10, 11]) == ("3.0 ms", "9.0 ms")
+
+
 # The window
+
+
+def test_two_empty_patches_do_not_agree(window, qtbot):
+    window.document.edit_many({"range.enabled": True, "range.limits_m": (1.0, 2.0)})
+    comparison = window.context.comparison
+    comparison.show(Side("Hidden", window.document.preset), comparison.present)
+    qtbot.waitUntil(lambda: window.result.compared is not None and window.result.compared.b.area_mm2 == 0)
+    assert window.comparison.numbers["IoU of the patches", 0].text() == "both empty"
 
 
 @pytest.fixture

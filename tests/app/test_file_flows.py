@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QFileDialog
 
 from fakes import FakeSource, at_rest, tiny_rig
 from hands import (
@@ -183,6 +184,15 @@ def test_a_new_preset_asks_too_and_takes_no_name_of_a_shipped_one(window, qtbot)
     assert window.document.path is None
     assert window.document.preset.tolerance == load_preset("default").tolerance
     assert not window.document.dirty
+
+
+def test_a_shipped_preset_is_saved_under_a_name_of_ones_own(window, qtbot):
+    window.document.new(load_preset("simulator"))
+    QTest.keyClick(window, Qt.Key.Key_S, CONTROL)
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
+    [path] = QApplication.activeModalWidget().selectedFiles()
+    QTest.keyClick(QApplication.activeModalWidget(), Qt.Key.Key_Escape)
+    assert path.endswith("/my-simulator.json")
 
 
 def offer(window):

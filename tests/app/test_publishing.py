@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QMenu
 
@@ -41,6 +41,10 @@ def switch_on(dialog, qtbot, port):
 
 def test_nothing_listens_until_it_is_started_and_after_it_was_stopped(publishing, window, qtbot, port):
     assert not listening()
+    assert "Foxglove" in publishing.state.text() and "ROS 2" not in publishing.state.text()
+    QTest.mouseClick(publishing.foxglove, LEFT, pos=QPoint(8, publishing.foxglove.height() // 2))
+    assert not publishing.start.isEnabled() and "Tick" in publishing.state.text()
+    QTest.mouseClick(publishing.foxglove, LEFT, pos=QPoint(8, publishing.foxglove.height() // 2))
     assert not window.status.publishing.isVisible()
     [menu] = [menu for menu in window.menuBar().findChildren(QMenu) if menu.title() == "C&onnect"]
     assert menu.actions() == [window.actions_.publish]

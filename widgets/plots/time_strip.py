@@ -50,7 +50,7 @@ _STEPS: Final[dict[int, int]] = {
     Qt.Key.Key_Home: -(10**9),
     Qt.Key.Key_End: 10**9,
 }
-_NO_TRUTH = "This source does not know the true contact"
+_NO_TRUTH = "No true contact: nothing touches, or this source does not know it"
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
 

@@ -68,7 +68,7 @@ def test_truth_is_compared_where_it_is_known(tactune, make_recording):
     lines = json_lines(tactune("run", "-s", make_recording(), "-p", "default", *everything, "--json", "--truth").out)
     assert [line["touched"] for line in lines] == [False, True, True, True]
     for score in ("iou", "precision", "recall"):
-        assert [line[score] for line in lines] == [1, 1, 1, 1]
+        assert [line[score] for line in lines] == [None, 1, 1, 1]
     assert lines[0]["rmse_mm"] is None
     assert lines[3]["rmse_mm"] == pytest.approx(0, abs=1e-3)
 

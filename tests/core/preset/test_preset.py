@@ -69,6 +69,20 @@ def test_the_default_preset_holds_the_papers_values():
     assert shipped_presets()[:2] == ["default", "simulator"]
     for name in shipped_presets():
         assert load_preset(name).name == name
+        place = Path(str(preset_file.importlib.resources.files("tactune.presets"))) / f"{name}.json"
+        with pytest.raises(ExportError, match="another name"):
+            save_preset(Preset(), place)
+
+
+def test_a_verdict_goes_with_the_values_that_it_was_about(make_rig):
+    preset = load_preset("simulator").with_value(
+        "verdict", {"links_mm": {"noise": 1.0}, "judged": "2026-01-02T03:04:05Z"}
+    )
+    assert (
+        preset.with_values({"name": "mine", "rig": make_rig().model_dump(), "tolerance.t": preset.tolerance.t}).verdict
+        is not None
+    )
+    assert preset.with_value("membrane.gap_m", 0.0007).verdict is None
 
 
 @pytest.mark.parametrize(
