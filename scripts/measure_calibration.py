@@ -29,7 +29,7 @@ from tactune.core.calibration.agreement import judge_agreement
 from tactune.core.calibration.fits import fit_homography, fit_rigid
 from tactune.core.calibration.geometry import mapped
 from tactune.core.calibration.points import PointArrays
-from tactune.core.calibration.quality import bound
+from tactune.core.calibration.report import bound
 from tactune.core.errors import CalibrationError
 from tactune.core.sources.simulator.scene import simulator_rig
 

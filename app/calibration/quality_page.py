@@ -13,8 +13,7 @@ from PyQt6.QtWidgets import QComboBox, QFormLayout, QWidget
 from scipy.interpolate import LinearNDInterpolator
 
 from ...core.calibration.geometry import proximity_pixels
-from ...core.calibration.quality import millimetres_per_pixel
-from ...core.calibration.report import CalibrationReport, grade
+from ...core.calibration.report import CalibrationReport, grade, millimetres_per_pixel
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import SensorFrame
 from ...widgets.basics.colormaps import ends_legend

@@ -81,7 +81,7 @@ def check(
     could be checked, something touches the membrane, or the preset's untouched frame is missing. A warning names what
     was not checked. The simulator removes its object for this.
     """
-    from ...core.rig.check import check_rig
+    from ...core.rig.drift import check_rig
     from ...core.rig.untouched import load_untouched
 
     checked, origin = chosen_preset(preset, source)
@@ -125,7 +125,7 @@ def create_rig(
     is said. Without a camchain of both cameras their pose is a matter of tactune calibrate.
     """
     from ...core.calibration.folder_rig import describe_folder
-    from ...core.sources.folder_images import write_rig
+    from ...core.sources.folder import write_rig
 
     board = re.fullmatch(r"([0-9]{1,3})x([0-9]{1,3})", corners)
     if board is None:

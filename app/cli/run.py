@@ -130,7 +130,7 @@ def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iter
     if out is None:
         yield lambda patch, frame: None
     elif out.suffix == MCAP_SUFFIX:
-        from ...core.output.bag import PatchWriter
+        from ...core.output.writer import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
             yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)

@@ -142,7 +142,7 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[S
     if out is None:
         yield lambda patch, pose, record: None
     elif out.suffix.lower() == MCAP_SUFFIX:
-        from ...core.output.bag import PatchWriter
+        from ...core.output.writer import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz, poses=True) as writer:
 

@@ -12,7 +12,7 @@ from ...core.calibration.check import Drift
 from ...core.errors import as_sentence
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...core.rig.check import RigCheck, check_rig
+from ...core.rig.drift import RigCheck, check_rig
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.marks import ARROW_FACTOR, Mark

@@ -11,8 +11,7 @@ from PyQt6.QtGui import QAction
 
 from ...core.calibration.check import Drift
 from ...core.errors import as_sentence
-from ...core.rig.check import RigCheck, drift_or_reason
-from ...core.rig.drift import LOOKS, Watch, WatchReport
+from ...core.rig.drift import LOOKS, RigCheck, Watch, WatchReport, drift_or_reason
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.messages import Offer, Severity
 from ..context import SOURCE, Context

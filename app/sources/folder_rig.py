@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QGridLayout, Q
 
 from ...core.calibration.folder_rig import FolderRig, describe_folder
 from ...core.errors import TactuneError, as_sentence
-from ...core.sources.folder_images import write_rig
+from ...core.sources.folder import write_rig
 from ...widgets.basics.controls import NoteLabel, caption, dialog_buttons, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, vbox

@@ -20,8 +20,19 @@ from .agreement import judge_agreement
 from .fits import Fit, fit_homography, fit_rigid
 from .geometry import Alignment, clicks_in_depth
 from .points import PointArrays
-from .quality import bound, coverage, membrane_places, millimetres_per_pixel, patch_effect, seen_places
-from .report import CalibrationReport, DepthOffset, ModelName, ModelQuality, PairQuality
+from .report import (
+    CalibrationReport,
+    DepthOffset,
+    ModelName,
+    ModelQuality,
+    PairQuality,
+    bound,
+    coverage,
+    membrane_places,
+    millimetres_per_pixel,
+    patch_effect,
+    seen_places,
+)
 
 ModelChoice = Literal["auto", "homography", "rigid"]
 

@@ -16,8 +16,7 @@ from ..preset import AlignmentSection, Preset
 from .agreement import held_out_px, regions_of
 from .geometry import Alignment, clicks_in_depth
 from .points import PointArrays
-from .quality import millimetres_per_pixel
-from .report import CalibrationReport
+from .report import CalibrationReport, millimetres_per_pixel
 from .texture import measure_pairs
 
 #: Drift above which to calibrate again, pixels; or the calibration's own 95 % bound, if larger.

@@ -15,10 +15,9 @@ from ..errors import CalibrationError, SourceError, foreign
 from ..model.arrays import AnyArray
 from ..model.clouds import valid_depth
 from ..model.frames import MAX_UNIT_M, Matrix4, Rig
-from ..sources.folder_images import read_image, read_values
+from ..sources.folder import read_image, read_values
 from ..sources.folder_layout import Layout, find_frames
-from ..sources.lens import Lens, make_lens
-from ..sources.lens_files import StatedLens, choose_lens, pose_between, read_lenses
+from ..sources.lens import Lens, StatedLens, choose_lens, make_lens, pose_between, read_lenses
 from ..sources.ros_image import FLOAT_UNIT_M
 from .lens import MODELS, fit_lens, make_rig, nominal_lens
 

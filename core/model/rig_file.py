@@ -29,7 +29,7 @@ from .intrinsics import Intrinsics
 from .loading import read_json
 
 _LENS_FIELDS = tuple(Intrinsics.model_fields)
-#: Fields that only the images of a folder need (see `tactune.core.sources.folder_images`).
+#: Fields that only the images of a folder need (see `tactune.core.sources.folder`).
 _FOLDER_FIELDS = ("rectify", "value_m")
 
 

@@ -2,21 +2,31 @@
 
 Plumb bob is librealsense's Brown-Conrady model. Images of lenses beyond it (rational, thin prism, fisheye) are
 rectified when they are read: each becomes the image of a lens without distortion and with the same camera matrix.
+
+Files are those of ROS (``camera_info``, or an echoed message), Kalibr's camchains, OpenCV's YAML, XML and JSON, BOP's
+``scene_camera.json``, JSON or YAML with ``fx, fy, cx, cy``, and text with the matrix K or with these four numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 from pydantic import ValidationError
+from ruamel.yaml import YAML
 
 from ..errors import SourceError, foreign
 from ..model.arrays import AnyArray, Float32Array, Float64Array
+from ..model.frames import Matrix4, camera_pose
 from ..model.intrinsics import Distortion, Intrinsics
+from ..model.loading import parse_json, read_file
 
 #: Names of lens models, as ROS, image_pipeline, Kalibr, OpenCV and camera makers write them.
 _PINHOLE = (
@@ -124,3 +134,252 @@ def camera_info_lens(message: Any, size: tuple[int, int] | None = None, *, is_re
 def _field(message: Any, name: str) -> Any:
     """Return a field whose name ROS 1 writes with a capital letter."""
     return getattr(message, name) if hasattr(message, name) else getattr(message, name.upper())
+
+
+#: A lens takes a few hundred bytes; BOP states one for each of some thousand images.
+_MAX_BYTES: Final = {".json": 5_000_000}
+_MAX_TEXT_BYTES: Final = 200_000
+#: Brackets in brackets; YAML takes seconds for thousands of them.
+_MAX_NESTING: Final = 50
+_MATRIX: Final = ("camera_matrix", "cameramatrix", "intrinsic_matrix", "intrinsics", "cam_k", "k", "m1", "mtx")
+_COEFFICIENTS: Final = (
+    "distortion_coefficients",
+    "distortion_coeffs",
+    "distcoeffs",
+    "dist_coeffs",
+    "coefficients",
+    "dist",
+    "d",
+    "d1",
+)
+_NUMBER: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_Fields = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class StatedLens:
+    """One camera of a file.
+
+    ``matrix`` is K row by row; ``size`` width and height in pixels, or None where the file does not state them;
+    ``unit_m`` the length of a depth count; ``T_this_previous`` the pose of a camchain's camera before this one.
+    """
+
+    path: Path
+    name: str
+    model: str
+    coefficients: tuple[float, ...]
+    matrix: tuple[float, ...]
+    size: tuple[int, int] | None = None
+    unit_m: float | None = None
+    T_this_previous: Matrix4 | None = None
+
+    def lens(self, size: tuple[int, int]) -> Lens:
+        """Return the lens of images of this width and height; `SourceError` if the file is about others."""
+        if self.size not in (None, size):
+            raise SourceError(
+                f"{self.path} describes images of {self.size[0]} x {self.size[1]} pixels, but these have "
+                f"{size[0]} x {size[1]}; use the file of the camera that took them"
+            )
+        try:
+            return make_lens(self.model, self.coefficients, self.matrix, size)
+        except SourceError as error:
+            raise SourceError(f"{self.path}: {error}") from error
+
+
+def read_lenses(path: Path) -> list[StatedLens]:
+    """Return the cameras of a file, in its order; `SourceError` if it states none."""
+    suffix = path.suffix.lower()
+    try:
+        text = read_file(path, _MAX_BYTES.get(suffix, _MAX_TEXT_BYTES)).decode("utf-8-sig")
+        data = _parse(text, suffix)
+        lenses = _cameras(path, data)
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+    except SourceError:
+        raise
+    except Exception as error:  # of parsers, and of numbers that are none
+        detail = foreign(error, 120) or type(error).__name__
+        raise SourceError(f"{path} is no file of a lens ({detail}); write it again") from error
+    if not lenses:
+        raise SourceError(
+            f"{path} states no lens: no camera_matrix, K, intrinsics or fx; known are ROS camera_info, Kalibr's "
+            "camchain, OpenCV's YAML and XML, and text with K"
+        )
+    return lenses
+
+
+def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) -> StatedLens:
+    """Return the camera of a file that is meant: by its name or topic, else the only one of this image size."""
+    words = ("proximity", "color") if role == "colour" else (role, "depth")
+    named = [lens for lens in lenses if all(word in lens.name for word in words)]
+    named = named or [lens for lens in lenses if words[0] in lens.name]
+    fitting = named or [lens for lens in lenses if lens.size in (None, size)] or list(lenses)
+    if len(fitting) > 1:
+        path, names = lenses[0].path, [foreign(lens.name.split(" ")[0], 40) for lens in lenses[:4]]
+        raise SourceError(
+            f"{path} has {len(lenses)} cameras ({', '.join(names)}); name the one of {role}, as in {path}:{names[0]}"
+        )
+    return fitting[0]
+
+
+def pose_between(proximity: StatedLens, tactile: StatedLens, lenses: Sequence[StatedLens]) -> Matrix4 | None:
+    """Return ``T_proximity_tactile`` of two cameras of one camchain, or None if it does not state it."""
+    if proximity not in lenses or tactile not in lenses:
+        return None
+    first, last = sorted((lenses.index(proximity), lenses.index(tactile)))
+    pose = np.eye(4)  # of camera ``first`` in the present one
+    for lens in lenses[first + 1 : last + 1]:
+        if lens.T_this_previous is None:
+            return None
+        pose = np.array(lens.T_this_previous) @ pose
+    return camera_pose(pose if lenses.index(tactile) == first else np.linalg.inv(pose))
+
+
+def _parse(text: str, suffix: str) -> Any:
+    if suffix == ".json":
+        return parse_json(text)
+    if suffix == ".xml":
+        return _of_xml(text)
+    if suffix in (".yaml", ".yml"):
+        text = re.sub(r"\A%YAML.*\n", "", text)  # OpenCV's first line and its tags are not YAML
+        text = re.sub(r"!!opencv-[\w-]+", "", text)
+        opened = np.cumsum([{"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0) for letter in text])
+        if opened.max(initial=0) > _MAX_NESTING:
+            raise ValueError(f"it has more than {_MAX_NESTING} brackets in brackets")
+        first = re.split(r"(?m)^---.*$", text.removeprefix("---"))[0]
+        return YAML(typ="safe", pure=True).load(io.StringIO(first))
+    return _of_text(text)
+
+
+def _of_xml(text: str) -> _Fields:
+    if "<!" in text.replace("<!--", ""):
+        raise ValueError("it declares entities or a document type, which no lens needs")
+    fields: dict[str, Any] = {}
+    for entry in ElementTree.fromstring(text):  # noqa: S314  # without entities, and of 200 kB, it is harmless
+        data = entry.find("data")
+        fields[entry.tag] = [float(each) for each in (data.text or "").split()] if data is not None else entry.text
+    return fields
+
+
+def _of_text(text: str) -> _Fields:
+    """Return the lens of a text: K, or fx fy cx cy, and perhaps k1 k2 p1 p2 k3 behind these."""
+    lines = [re.split(r"#|//", line)[0] for line in text.splitlines()]
+    if re.search("[a-df-zA-DF-Z]", "".join(lines)):
+        raise ValueError("it has words where numbers of K are expected")
+    numbers = [float(each) for each in _NUMBER.findall(" ".join(lines))]
+    if len(numbers) == 9 and numbers[6:] == [0, 0, 1]:
+        return {"k": numbers}
+    if len(numbers) in (4, 8, 9):
+        return {"k": numbers[:4], "d": numbers[4:]}
+    raise ValueError(f"it has {len(numbers)} numbers; K has 9, and fx fy cx cy are 4")
+
+
+def _cameras(path: Path, data: Any) -> list[StatedLens]:
+    if not isinstance(data, dict):
+        raise ValueError(f"it holds a {type(data).__name__}, not names with values")
+    inner = {str(name): value for name, value in data.items() if isinstance(value, dict)}
+    if inner and all("cam_k" in _lower(value) for value in inner.values()):
+        return [_of_bop(path, [_camera(path, name, value) for name, value in inner.items()])]
+    if (one := _camera(path, str(data.get("camera_name") or data.get("name") or path.stem), data)) is not None:
+        return [one]
+    found = (_camera(path, name, value) for name, value in inner.items())
+    return [camera for camera in found if camera is not None]
+
+
+def _of_bop(path: Path, cameras: Sequence[StatedLens | None]) -> StatedLens:
+    """Return the lens that all images of a scene have."""
+    first = cameras[0]
+    if first is None or any(
+        each is None or (each.matrix, each.unit_m) != (first.matrix, first.unit_m) for each in cameras
+    ):
+        raise SourceError(f"{path}: cam_K or depth_scale changes from image to image; a rig has one lens")
+    return first
+
+
+def _lower(fields: _Fields) -> dict[str, Any]:
+    return {str(name).lower(): value for name, value in fields.items()}
+
+
+def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
+    """Return the lens of one camera; None if the fields have none."""
+    fields = _lower(given)
+    matrix = next((_flat(fields[key]) for key in _MATRIX if key in fields), None)
+    if "fx" in fields:
+        matrix = tuple(float(fields[key]) for key in ("fx", "fy", "cx", "cy"))
+    if matrix is None:
+        return None
+    family = str(fields.get("camera_model", "pinhole"))  # Kalibr's; others than pinhole give the numbers other meanings
+    if family.lower() != "pinhole":
+        raise SourceError(
+            f"{path}: the camera model {foreign(family, 40)!r} of {foreign(name, 40)} is unknown; known is pinhole"
+        )
+    coefficients = next((_flat(fields[key]) for key in _COEFFICIENTS if fields.get(key) is not None), ())
+    fisheye = str(fields.get("fisheye_model", fields.get("fisheye", 0))).lower() not in ("0", "false", "none")
+    model = str(fields.get("distortion_model") or fields.get("distortion") or ("fisheye" if fisheye else "opencv"))
+    scale = fields.get("depth_scale") if "cam_k" in fields else None  # BOP's is in mm; others mean other things by it
+    label = f"{name} {fields.get('rostopic', '')}".strip().lower()
+    stated = _whole_matrix(matrix), _size(fields)
+    turned = fields.get("t_cn_cnm1")
+    try:
+        pose = None if turned is None else camera_pose(np.array(_flat(turned)).reshape(4, 4))
+    except ValueError as error:
+        raise SourceError(f"{path}: T_cn_cnm1 of {foreign(name, 40)}: {foreign(error, 120)}") from error
+    return StatedLens(
+        path,
+        label,
+        model,
+        coefficients,
+        *_in_image(fields, *stated),
+        unit_m=None if scale is None else float(scale) * 1e-3,
+        T_this_previous=pose,
+    )
+
+
+def _whole_matrix(numbers: Sequence[float]) -> Float64Array:
+    """Return K (3, 3) of 9 numbers, by rows or columns, or of fx, fy, cx, cy."""
+    if len(numbers) == 4:
+        fx, fy, cx, cy = numbers
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    if len(numbers) != 9:
+        raise ValueError(f"a lens has {len(numbers)} numbers; K has 9, and fx fy cx cy are 4")
+    matrix = np.array(numbers).reshape(3, 3)
+    if matrix[2, :2].any() and not matrix[:2, 2].any():
+        matrix = matrix.T  # Open3D's, column by column
+    if matrix[1, 0] or matrix[2].tolist() != [0, 0, 1]:
+        raise ValueError("its matrix is no K: the last row must be 0 0 1")
+    return matrix
+
+
+def _in_image(
+    fields: _Fields, matrix: Float64Array, size: tuple[int, int] | None
+) -> tuple[tuple[float, ...], tuple[int, int] | None]:
+    """Return K and size of the images that an echoed camera_info describes: cut to its region, then binned."""
+    roi = fields.get("roi") or {}
+    across, down = (max(1, int(fields.get(f"binning_{axis}") or 1)) for axis in "xy")
+    matrix[:2, 2] -= int(roi.get("x_offset") or 0), int(roi.get("y_offset") or 0)
+    matrix[0] /= across
+    matrix[1] /= down
+    if size is not None:
+        size = (int(roi.get("width") or size[0]) // across, int(roi.get("height") or size[1]) // down)
+    return tuple(matrix.ravel().tolist()), size
+
+
+def _size(fields: _Fields) -> tuple[int, int] | None:
+    for key in ("resolution", "image_size"):
+        if key in fields:
+            width, height = _flat(fields[key])
+            return int(width), int(height)
+    for prefix in ("image_", ""):
+        if fields.get(f"{prefix}width") and fields.get(f"{prefix}height"):
+            return int(fields[f"{prefix}width"]), int(fields[f"{prefix}height"])
+    return None
+
+
+def _flat(value: Any) -> tuple[float, ...]:
+    """Return the numbers of a list, of nested lists, or of a matrix with a field ``data``."""
+    if isinstance(value, dict):
+        fields = _lower(value)
+        if "fx" in fields:
+            return tuple(float(fields[key]) for key in ("fx", "fy", "cx", "cy"))
+        value = fields["data"]
+    return tuple(np.array(value, np.float64).ravel().tolist())

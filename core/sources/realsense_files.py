@@ -25,8 +25,7 @@ from ..model.intrinsics import Distortion, Intrinsics
 from .base import Progress, part_of
 from .cameras.camera import Calibration
 from .cameras.pairing import nearest
-from .mcap.bag import Bag
-from .mcap.messages import IMAGE, TEXT, TYPES, matrix_of
+from .mcap.messages import IMAGE, TEXT, TYPES, Bag, matrix_of
 from .recorded import RecordedCamera, RecordedSource
 from .ros.bags import Ros1Bag, open_bag
 from .ros_image import DamagedFileError, RawImage, damage_told

@@ -42,18 +42,16 @@ from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
 from tactune.core.model.frames import TrueStrain
 from tactune.core.model.rig_file import load_rig
-from tactune.core.output.bag import PatchWriter
 from tactune.core.output.calibration_files import export_calibration
 from tactune.core.output.cloud_files import write_cloud
 from tactune.core.output.foxglove import save_layout
 from tactune.core.output.hdf5 import export_hdf5
-from tactune.core.output.writer import SessionWriter, export_mcap
+from tactune.core.output.writer import PatchWriter, SessionWriter, export_mcap
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
-from tactune.core.sources.folder import export_folder
-from tactune.core.sources.folder_images import write_rig
-from tactune.core.sources.lens_files import read_lenses
+from tactune.core.sources.folder import export_folder, write_rig
+from tactune.core.sources.lens import read_lenses
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
 from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene

@@ -1,7 +1,7 @@
 """Live cameras of any maker, captured in a separate process.
 
-`camera` is the interface that a maker's driver implements, `realsense` the driver of our own; `camera_thread` runs one
-camera, `pairing` pairs the images of both by time, `source` makes frames of the pairs.
+`camera` is the interface that a maker's driver implements, `realsense` the driver of our own; `pairing` pairs the
+images of both cameras by time, `source` runs the cameras and makes frames of the pairs.
 """
 
 from __future__ import annotations

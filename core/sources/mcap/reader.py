@@ -29,7 +29,7 @@ from ...errors import SourceError, TactuneError
 from ...model.arrays import Int64Array, Uint64Array
 from ..base import Progress
 from ..ros_image import damage_told
-from .bag import Bag, long_name
+from .messages import Bag, long_name
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.

@@ -27,7 +27,7 @@ from ruamel.yaml import YAML
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
 from ..base import Progress, part_of
-from ..mcap.bag import Bag, long_name
+from ..mcap.messages import Bag, long_name
 from ..mcap.reader import MAGIC, McapBag
 from ..ros_image import DamagedFileError, damage_told
 

@@ -18,8 +18,7 @@ from ...errors import ExportError, SourceError, counted, foreign
 from ...model.files import atomic_path
 from ...model.loading import read_json
 from ..base import split_topics
-from ..mcap.bag import Bag
-from ..mcap.messages import CAMERA_INFO, IMAGE
+from ..mcap.messages import CAMERA_INFO, IMAGE, Bag
 from ..ros_image import DamagedFileError, RawImage
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"

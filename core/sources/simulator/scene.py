@@ -12,12 +12,35 @@ from ...model.arrays import Float32Array, Float64Array, IndexArray, Uint8Array, 
 from ...model.clouds import nearest_pixels
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, rigid_transform
 from ...model.intrinsics import Intrinsics
-from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, contact_load, contact_share, object_pose
-from .mesh import MembraneDesign, Mesh
+from .membrane import (
+    ATMOSPHERE_PA,
+    Membrane,
+    MembraneDesign,
+    MembraneState,
+    Mesh,
+    contact_load,
+    contact_share,
+    object_pose,
+)
 from .objects import distance, turn
-from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_areas, rasterise, see_through, shade
+from .render import (
+    CLEAN_UNIT_M,
+    DOT_RADIUS_M,
+    DOT_SPACING_M,
+    TEXEL_M,
+    Camera,
+    Surface,
+    dot_counts,
+    dot_grid,
+    flag,
+    gamma_table,
+    node_areas,
+    paint_sheet,
+    rasterise,
+    see_through,
+    shade,
+)
 from .scenes import Scene, Step
-from .sheet import DOT_RADIUS_M, DOT_SPACING_M, TEXEL_M, dot_counts, dot_grid, paint_sheet
 
 #: Distance of the standard membrane's inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314

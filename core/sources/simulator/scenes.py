@@ -17,10 +17,10 @@ from urllib.parse import parse_qsl, urlencode
 import numpy as np
 
 from ...errors import SourceError
-from .mesh import MembraneDesign
+from .membrane import MembraneDesign
 from .objects import CUP, OBJECTS, PressedObject
+from .render import Print
 from .sensors import DEFAULT_SENSOR, SENSORS
-from .sheet import Print
 
 Press = Literal["", "none", "low", "medium", "high"]
 Side = Literal["right", "left"]

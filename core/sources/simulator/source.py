@@ -33,8 +33,7 @@ from ...model.files import atomic_path
 from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
 from ...model.loading import read_file
 from ..base import Progress, SeekableSource
-from .membrane import Membrane
-from .mesh import MembraneDesign
+from .membrane import Membrane, MembraneDesign
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig

@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import h5py
 
-from tactune.core.sources.lens_files import read_lenses
+from tactune.core.sources.lens import read_lenses
 
 
 def test_a_recording_becomes_hdf5_and_its_calibration_urdf(tactune, recording, tmp_path):

@@ -7,7 +7,7 @@ from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration.calibrate import calibrate
 from tactune.core.calibration.check import compare_alignments, is_worse
 from tactune.core.calibration.geometry import Alignment
-from tactune.core.calibration.quality import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
+from tactune.core.calibration.report import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
 from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
 from tactune.core.preset import Preset

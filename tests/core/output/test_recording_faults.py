@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import AdviceError, SourceError
-from tactune.core.output import bag
-from tactune.core.output.writer import SessionWriter
+from tactune.core.output.writer import Bag, SessionWriter
 from tactune.core.sources.mcap.messages import Topic
 from tactune.core.sources.mcap.reader import MAGIC, McapBag
 from tactune.core.sources.mcap.source import McapSource
@@ -90,13 +89,13 @@ def test_what_is_no_recording_is_refused(tmp_path, content, sentence):
 
 def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same_frame, monkeypatch):
     go = threading.Event()
-    write = bag.Bag.write
+    write = Bag.write
 
     def slowly(self, *message):
         assert go.wait(30)
         write(self, *message)
 
-    monkeypatch.setattr(bag.Bag, "write", slowly)
+    monkeypatch.setattr(Bag, "write", slowly)
     frames = make_frames(6)
     writer = SessionWriter(tmp_path / "slow.mcap", rig, queue_bytes=1)
     assert writer.put(frames[0], wait=True)

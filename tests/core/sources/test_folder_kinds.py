@@ -10,8 +10,7 @@ import pytest
 from tactune.core.calibration.folder_rig import describe_folder
 from tactune.core.errors import TactuneError
 from tactune.core.model.intrinsics import Distortion
-from tactune.core.sources.folder import FolderSource
-from tactune.core.sources.folder_images import write_rig
+from tactune.core.sources.folder import FolderSource, write_rig
 
 SHAPE = 24, 32
 LENS = "30,30,15.5,11.5"

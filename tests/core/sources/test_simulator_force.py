@@ -8,11 +8,11 @@ from tactune.core import open_source
 from tactune.core.sources.simulator.membrane import (
     ATMOSPHERE_PA,
     Membrane,
+    MembraneDesign,
     contact_load,
     contact_share,
     object_pose,
 )
-from tactune.core.sources.simulator.mesh import MembraneDesign
 from tactune.core.sources.simulator.objects import BALL, BALL_RADIUS_M, CUP
 from tactune.core.sources.simulator.render import node_areas
 

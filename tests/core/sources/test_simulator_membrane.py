@@ -7,9 +7,9 @@ from tactune.core.sources.simulator.membrane import (
     ATMOSPHERE_PA,
     TOUCH_GAP_M,
     Membrane,
+    MembraneDesign,
     object_pose,
 )
-from tactune.core.sources.simulator.mesh import MembraneDesign
 from tactune.core.sources.simulator.objects import OBJECTS, distance, normal, turn
 
 COARSE = MembraneDesign(cells=(36, 20))

@@ -12,7 +12,7 @@ from ros2_cameras import BASELINE_M, cameras, messages, topics_of, transforms
 from tactune.core import open_source
 from tactune.core.errors import SourceError
 from tactune.core.preset import CamerasSection
-from tactune.core.sources.ros import search
+from tactune.core.sources.ros import live
 from tactune.core.sources.ros.live import open_topics
 
 WAIT_S = 60
@@ -140,7 +140,7 @@ def test_names_that_tell_no_role_are_listed_and_can_be_given(domain):
     ],
 )
 def test_what_cannot_be_opened_is_one_sentence(rest, sentence, domain, monkeypatch):
-    monkeypatch.setattr(search, "_SEARCH_S", 0.2)
+    monkeypatch.setattr(live, "_SEARCH_S", 0.2)
     with pytest.raises(SourceError, match=sentence):
         open_topics(rest.format(domain=domain), CamerasSection(), untold)
 
