@@ -20,10 +20,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ...core.errors import PresetError, SourceError, counted, printable
 
 if TYPE_CHECKING:
+    from ...core.calibration.snapshots import Snapshot
     from ...core.contact.pipeline import ContactPipeline
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset
-    from ...core.rig.untouched import UntouchedAverage
     from ...core.sources import FrameSource
 
 #: The default source.
@@ -318,7 +318,7 @@ def find_rig(name: str) -> Rig:
         return source.rig
 
 
-def average_frames(source: FrameSource) -> UntouchedAverage:
+def average_frames(source: FrameSource) -> Snapshot:
     """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
     from ...core.rig.untouched import average_untouched, frames_to_average
     from ...core.sources.simulator.source import SimulatorSource

@@ -14,7 +14,7 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import AlignmentSection, Preset
 from .agreement import held_out_px, regions_of
-from .geometry import Alignment, clicks_in_depth
+from .geometry import Alignment, clicks_in_depth, named_sides
 from .points import PointArrays
 from .report import CalibrationReport, millimetres_per_pixel
 from .texture import measure_pairs
@@ -171,10 +171,8 @@ def _pose(section: AlignmentSection, rig: Rig) -> Alignment:
 
 def _way(offsets: Float64Array, drift: float) -> str:
     """Return which way the offsets, (N, 2), point in the proximity image; empty where they do not agree."""
-    x, y = np.median(offsets, axis=0)
-    sides = [("right" if x > 0 else "left", abs(x)), ("down" if y > 0 else "up", abs(y))]
-    named = [name for name, part in sides if part > 0.4 * np.hypot(x, y)]
-    return f" to the {' and '.join(named)} in the proximity image" if np.hypot(x, y) > drift / 2 else ""
+    way = np.median(offsets, axis=0)
+    return f" to the {named_sides(*way)} in the proximity image" if np.hypot(*way) > drift / 2 else ""
 
 
 def _offsets(points: PointArrays, alignment: Alignment, pose: Alignment, rig: Rig) -> Float64Array:

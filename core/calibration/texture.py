@@ -9,7 +9,7 @@ fitted to the result, and warping and matching are repeated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -29,6 +29,8 @@ from .snapshots import depth_under
 _ROUNDS = 3
 _PATCH_PX = 15
 _REACH_PX = 12.0
+#: A place that is tracked there and back ends this near to itself, pixels.
+_RETURN_PX = 0.3
 _MIN_CORRELATION = 0.85
 _MAX_FEATURES = 400
 _MIN_DISTANCE_PX = 12.0
@@ -128,11 +130,8 @@ def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> Float64Array:
         warped: Uint8Array = np.asarray(
             cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC), np.uint8
         )
-        start = features[:, :2].astype(np.float32).reshape(-1, 1, 2)
-        there, ahead = _tracked(view.tactile, warped, start)
-        back, behind = _tracked(warped, view.tactile, there)
-        moved = there.reshape(-1, 2).astype(np.float64)
-        kept = ahead & behind & (np.hypot(*(back - start).reshape(-1, 2).T) < 0.3)
+        start = features[:, :2].astype(np.float32)
+        moved, kept = tracked(view.tactile, warped, start, levels=2)
         kept &= np.hypot(*(moved - features[:, :2]).T) < _REACH_PX
         kept &= ((moved >= _PATCH_PX) & (moved < (width - _PATCH_PX, height - _PATCH_PX))).all(axis=1)
         likeness = np.zeros(len(features))
@@ -145,13 +144,15 @@ def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> Float64Array:
     return np.concatenate(parts)
 
 
-def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """Track places (N, 1, 2) from one image to the other; also return which were found."""
+def tracked(first: Uint8Array, second: Uint8Array, places: Float32Array, levels: int) -> tuple[Float64Array, BoolArray]:
+    """Return where places (N, 2) of one image are in the other, by pyramidal Lucas-Kanade, and which lead back."""
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.001)
-    places, found, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, start, np.empty_like(start), winSize=(_PATCH_PX, _PATCH_PX), maxLevel=2, criteria=criteria
-    )
-    return np.asarray(places, np.float32), np.asarray(found).ravel() == 1
+    options: dict[str, Any] = {"winSize": (_PATCH_PX, _PATCH_PX), "maxLevel": levels, "criteria": criteria}
+    start = places.reshape(-1, 1, 2)
+    there, ahead, _ = cv2.calcOpticalFlowPyrLK(first, second, start, np.empty_like(start), **options)
+    back, behind, _ = cv2.calcOpticalFlowPyrLK(second, first, there, np.empty_like(start), **options)
+    returned = np.hypot(*(back - start).reshape(-1, 2).T) < _RETURN_PX
+    return there.reshape(-1, 2).astype(np.float64), (ahead & behind).ravel().astype(bool) & returned
 
 
 def _described(views: list[_View]) -> Float64Array:

@@ -55,6 +55,9 @@ _MIN_WHITE_M: Final = 1e-6
 _PUSHED: Final = 4.0
 #: Standard deviation of the rate at the start, rad/s.
 _START_RATE_RAD_S: Final = 1.0
+#: Standard deviation of the acceleration: a larger one follows faster and averages less. An angle that is not
+#: determined is predicted for up to the second, seconds.
+_ACCELERATION_RAD_S2, _MAX_GAP_S = 3.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -370,13 +373,10 @@ class TiltFilter:
 
     Each angle is a state (angle, rate) driven by white acceleration (Bar-Shalom, Li and Kirubarajan, "Estimation with
     Applications to Tracking and Navigation", 2001, section 6.3.2). Only the part of a measurement's variance that
-    changes from frame to frame is averaged; the fixed part stays in the standard deviation of the result. An angle that
-    is not determined is predicted for up to ``max_gap_s`` seconds. A larger standard deviation of the acceleration
-    follows faster and averages less.
+    changes from frame to frame is averaged; the fixed part stays in the standard deviation of the result.
     """
 
-    def __init__(self, acceleration_rad_s2: float = 3.0, max_gap_s: float = 0.5) -> None:
-        self.acceleration_rad_s2, self.max_gap_s = acceleration_rad_s2, max_gap_s
+    def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
@@ -406,12 +406,12 @@ class TiltFilter:
     def _step(self, name: str, tilt: Tilt, dt_s: float) -> None:
         """Predict one angle and correct it by the measurement, if there is one."""
         track = self._tracks.get(name)
-        if track is not None and tilt.time_s - track.measured_s > self.max_gap_s:
+        if track is not None and tilt.time_s - track.measured_s > _MAX_GAP_S:
             del self._tracks[name]
             track = None
         if track is not None:
             move = np.array([[1.0, dt_s], [0.0, 1.0]])
-            push = self.acceleration_rad_s2 * np.array([dt_s**2 / 2, dt_s])
+            push = _ACCELERATION_RAD_S2 * np.array([dt_s**2 / 2, dt_s])
             track.state = move @ track.state
             track.covariance = move @ track.covariance @ move.T + np.outer(push, push)
         angle, sigma = getattr(tilt, f"{name}_rad"), getattr(tilt, f"{name}_sigma_rad")

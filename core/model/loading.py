@@ -12,7 +12,6 @@ import os
 import stat
 import threading
 import zipfile
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -28,8 +27,7 @@ MAX_JSON_BYTES: Final = 12_000_000
 _MAX_PIXELS: Final = 2**24
 #: Limit of what an archive of arrays unpacks to, beyond 8 times its own size.
 _MAX_UNPACKED_BYTES: Final = 200_000_000
-#: How PNG, JPEG and TIFF begin, and the modes of Pillow that need no conversion.
-_BY_PILLOW: Final = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+#: The modes of Pillow that need no conversion.
 _PLAIN_MODES: Final = ("L", "I;16", "I;16B", "I", "F", "RGB", "RGBA")
 
 #: CPython 3.11 fails if two threads parse literals at the same time, as NumPy does for the header of each array.
@@ -122,13 +120,6 @@ def decode_image(data: bytes, *, gray: bool = False) -> AnyArray:
     """
     import cv2  # on demand: presets and patches need no images
 
-    if not data.startswith(_BY_PILLOW):
-        image = None
-        with suppress(cv2.error):
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if gray else cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise ValueError("it is no image, or damaged")
-        return np.asarray(image)
     pixels = _pillow_pixels(data)
     if pixels.ndim == 2:
         return (pixels >> 8).astype(np.uint8) if gray and pixels.dtype == np.uint16 else pixels
@@ -155,7 +146,7 @@ def _pillow_pixels(data: bytes) -> AnyArray:
             return np.asarray(pixels, pixels.dtype.newbyteorder("="))
     except Exception as error:  # Pillow raises a dozen kinds
         sized = isinstance(error, ValueError) and str(error).startswith("it claims")
-        raise ValueError(str(error) if sized else "it is damaged") from error
+        raise ValueError(str(error) if sized else "it is no image, or damaged") from error
 
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")

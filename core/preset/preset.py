@@ -257,28 +257,4 @@ def _explain(error: Any) -> str:
     if error["type"] in {"bool_type", "bool_parsing"}:
         message = "it should be true or false"
     message = re.sub(r"^(Input|String|Tuple) should", "it should", message)
-    return f"{path} is {shown}: {message}{_allowed(location)}"
-
-
-def _allowed(location: Sequence[str | int]) -> str:
-    """Say the allowed range of the field at a location, from the JSON Schema."""
-    schema = json_schema()
-    node: Any = schema
-    for part in location:
-        node = _resolve(node, schema)
-        if isinstance(part, int):
-            node = node["prefixItems"][part] if part < len(node.get("prefixItems", ())) else {}
-        else:
-            node = node.get("properties", {}).get(part, {})
-    node = _resolve(node, schema)
-    low = node.get("minimum", node.get("exclusiveMinimum"))
-    high = node.get("maximum", node.get("exclusiveMaximum"))
-    if low is None or high is None:
-        return ""
-    return f" (allowed: {'above ' if 'exclusiveMinimum' in node else ''}{low:g} to {high:g})"
-
-
-def _resolve(node: Any, schema: Any) -> Any:
-    while "$ref" in node or "anyOf" in node:
-        node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]] if "$ref" in node else node["anyOf"][0]
-    return node
+    return f"{path} is {shown}: {message}"

@@ -6,7 +6,7 @@ pressed firmly into the membrane; or all over the image, if there is no membrane
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -43,9 +43,6 @@ SAME_SCENE, _PEAK_SHARE = 0.5, 0.02
 _MIN_PIXELS, _BLOCK_PX, _BLOCK_PIXELS = 2000, 40, 200
 #: Step between the rows and columns that tell at first whether it is one scene.
 _STRIDE: Final = 4
-
-#: Finds firm contact in a frame and returns the bias there, metres, and its area, m^2; None without contact.
-ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
 
 
 @dataclass(frozen=True)
@@ -185,11 +182,10 @@ def _prints(
 
 
 def pressed_bias(
-    frames: Sequence[SensorFrame], contact_bias: ContactBias, density_m4: float, floor_m: float = _BIAS_FLOOR_M
+    contacts: Iterable[tuple[float, float] | None], density_m4: float, floor_m: float = _BIAS_FLOOR_M
 ) -> MeasuredBias | None:
-    """Return the bias where an object is pressed firmly into the membrane; None without a frame of enough contact."""
-    found = [contact for frame in frames if (contact := contact_bias(frame)) is not None]
-    firm = np.array([contact for contact in found if contact[1] >= MIN_CONTACT_M2])
+    """Return the bias of frames from those in firm contact, metres, and its area, m^2; None without enough contact."""
+    firm = np.array([contact for contact in contacts if contact is not None and contact[1] >= MIN_CONTACT_M2])
     if not len(firm):
         return None
     noise = np.sqrt(density_m4 / np.median(firm[:, 1]))

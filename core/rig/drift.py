@@ -16,13 +16,14 @@ import cv2
 import numpy as np
 
 from ..calibration.check import Drift, check_alignment
-from ..calibration.geometry import color_lens
+from ..calibration.geometry import color_lens, named_sides
+from ..calibration.texture import tracked
 from ..contact.alignment import make_alignment
 from ..contact.checks import rig_in_use
 from ..contact.kernels.chain import Region
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError, TactuneError
-from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array, spread
+from ..model.arrays import Float64Array, Uint8Array, Uint16Array, spread
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import Preset
@@ -50,8 +51,8 @@ _SAME_SURFACE_M: Final = 0.006
 #: Smallest bulge by which a change of inflation can be detected, metres.
 _MIN_BULGE_M: Final = 0.005
 _MIN_PIXELS, _MAX_PIXELS, _ROUNDS = 200, 20_000, 4
-#: Texture: most and fewest places, their distance and window, and how near tracking back must end, pixels.
-_MAX_PLACES, _MIN_PLACES, _APART_PX, _WINDOW_PX, _RETURN_PX = 300, 20, 12, 15, 0.5
+#: Texture: most and fewest places, their distance and window, pixels.
+_MAX_PLACES, _MIN_PLACES, _APART_PX, _WINDOW_PX = 300, 20, 12, 15
 #: Places follow a common motion within this, pixels. A common shift beyond the second, metres, is no touch.
 _SCATTER_PX, _FAR_M = 3.0, 0.001
 #: A change of the apex moves the texture sideways by at most this share of it.
@@ -179,11 +180,9 @@ def _rms(change: Float64Array) -> float:
 def _way(plane: Float64Array | None, shift: Float64Array | None) -> str:
     """Return which way a camera moved, from its image's shift, (M, 2), or else from the depth's planar change, (M,)."""
     if shift is not None:
-        x, y = shift.mean(axis=0)
-        length = float(np.hypot(x, y))
-        sides = [("left" if x > 0 else "right", abs(x)), ("up" if y > 0 else "down", abs(y))]
-        named = [name for name, part in sides if part > 0.4 * length]  # the image moves against the camera
-        return f" to the {' and '.join(named)} of its image" if length > _rms(shift) / 2 else ", turned about its axis,"
+        way = -shift.mean(axis=0)  # the image moves against the camera
+        turned = np.hypot(*way) <= _rms(shift) / 2
+        return ", turned about its axis," if turned else f" to the {named_sides(*way)} of its image"
     assert plane is not None
     mean = float(plane.mean())
     return f" {'away from' if mean > 0 else 'towards'} the membrane" if abs(mean) > _rms(plane) / 2 else ", turned,"
@@ -195,24 +194,15 @@ def _shift_px(before: Uint8Array, now: Uint8Array) -> Float64Array | None:
     corners = cv2.goodFeaturesToTrack(first, _MAX_PLACES, 0.05, _APART_PX, blockSize=_WINDOW_PX)
     if corners is None or len(corners) < _MIN_PLACES:
         return None
-    start = np.asarray(corners, np.float32)
-    there, ahead = _tracked(first, second, start)
-    back, behind = _tracked(second, first, there)
-    found = ahead & behind & (np.hypot(*(back - start).reshape(-1, 2).T) < _RETURN_PX)
+    there, found = tracked(first, second, np.asarray(corners, np.float32), levels=4)
     if found.sum() < _MIN_PLACES:
         return None
-    before_px, now_px = (places.reshape(-1, 2)[found].astype(np.float64) for places in (start, there))
+    before_px, now_px = corners.reshape(-1, 2)[found].astype(np.float64), there[found]
     similarity, inliers = cv2.estimateAffinePartial2D(before_px, now_px, ransacReprojThreshold=_SCATTER_PX)
     if similarity is None or inliers.sum() < max(_MIN_PLACES, len(before_px) / 2):
         return None
     moved = before_px @ similarity[:, :2].T + similarity[:, 2] - before_px
     return np.asarray(moved, np.float64)
-
-
-def _tracked(first: Uint8Array, second: Uint8Array, places: Float32Array) -> tuple[Float32Array, BoolArray]:
-    window = (_WINDOW_PX, _WINDOW_PX)
-    there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, places, np.empty_like(places), winSize=window, maxLevel=4)
-    return np.asarray(there, np.float32), np.asarray(found).ravel() == 1
 
 
 def _local_contrast(color: Uint8Array) -> Uint8Array:

@@ -26,7 +26,7 @@ from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import CameraNoise, Preset, RigNoise, now
 from ..sources.base import CameraRole, Progress
-from .bias import UNKNOWN_BIAS_M, ContactBias, MeasuredBias, describe_bias, pressed_bias, print_bias
+from .bias import UNKNOWN_BIAS_M, MeasuredBias, describe_bias, pressed_bias, print_bias
 from .untouched import TILE_PX, tile_medians
 
 #: Usual number of frames, and fewest different ones.
@@ -67,7 +67,6 @@ def measure_noise(
     preset: Preset,
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
-    contact_bias: ContactBias | None = None,
 ) -> RigNoise:
     """Measure the noise of both cameras and the bias between them.
 
@@ -83,9 +82,6 @@ def measure_noise(
         The untouched frame, where all prints are visible.
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description.
-    contact_bias : callable, optional
-        See `ContactBias`; measures the bias where an object is pressed firmly into the membrane. The membrane test's
-        own by default.
 
     Returns
     -------
@@ -118,7 +114,7 @@ def measure_noise(
     report(0.8, "Measuring the bias")
     noise = RigNoise(proximity=proximity, tactile=tactile, measured=now(), frames=len(different))
     some = list(different[:: max(len(different) // 10, 1)])  # over the whole time
-    noise = with_bias(noise, some, rig, preset, untouched, contact_bias)
+    noise = with_bias(noise, some, rig, preset, untouched)
     report(1.0, "The noise is measured")
     return noise
 
@@ -129,7 +125,6 @@ def with_bias(
     rig: Rig,
     preset: Preset,
     untouched: SensorFrame | None,
-    contact_bias: ContactBias | None = None,
 ) -> RigNoise:
     """Return the noise of a rig with the bias that frames tell, on prints or in firm contact; unknown without these."""
     found: list[MeasuredBias | None] = []
@@ -138,7 +133,7 @@ def with_bias(
         density_m4 += noise.tactile.density_m4(rig.tactile.intrinsics.fx)
         found = [
             print_bias(frames if untouched is None else [untouched, *frames], rig, preset, density_m4),
-            pressed_bias(frames, contact_bias or firm_contact_bias(preset, rig), density_m4),
+            pressed_bias(map(firm_contact_bias(preset, rig), frames), density_m4),
         ]
     known = [bias for bias in found if bias is not None] or [MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")]
     bias = min(known, key=lambda bias: bias.sigma_m)

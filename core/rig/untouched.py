@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from ..calibration.snapshots import content_hash, take_snapshot
+from ..calibration.snapshots import Snapshot, content_hash, take_snapshot
 from ..errors import CalibrationError, FrameError, PresetError, SourceError
 from ..model.arrays import Float64Array, Uint16Array, spread
 from ..model.clouds import valid_depth
@@ -36,14 +36,6 @@ _REMEDY: Final = "capture the untouched frame again"
 
 
 @dataclass(frozen=True, eq=False)
-class UntouchedAverage:
-    """The median of each pixel over a number of frames."""
-
-    frame: SensorFrame
-    frames: int
-
-
-@dataclass(frozen=True, eq=False)
 class FoundUntouched:
     """The untouched frame that methods compare with, None if there is none, and warnings for the user."""
 
@@ -51,7 +43,7 @@ class FoundUntouched:
     warnings: tuple[str, ...] = ()
 
 
-def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
+def average_untouched(frames: Iterable[SensorFrame]) -> Snapshot:
     """Average a few frames of the untouched membrane: the median of each pixel."""
     held: list[SensorFrame] = []
     for frame in frames:
@@ -59,7 +51,7 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
         _refuse_movement(held[0], frame, len(held))
     if not held:
         raise CalibrationError("an untouched frame needs at least one frame; the source gave none")
-    return UntouchedAverage(take_snapshot(held).frame, len(held))
+    return take_snapshot(held)
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:

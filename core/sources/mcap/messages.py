@@ -140,7 +140,9 @@ class Bag(ABC):
 
     def stamp_ns(self, topic: str, index: int) -> int:
         """Return the stamp in the header with which a message begins; no image is unpacked for it."""
-        data = self.raw(topic, index)
+        return self._stamp_ns(topic, self.raw(topic, index))
+
+    def _stamp_ns(self, topic: str, data: bytes | memoryview) -> int:
         order = "<" if self.is_ros1(topic) or data[1] & 1 else ">"  # the second byte of CDR
         seconds, nanoseconds = struct.unpack_from(order + "II", data, 4)  # both put four bytes in front
         return int(seconds) * 10**9 + int(nanoseconds)

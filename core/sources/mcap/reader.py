@@ -101,6 +101,16 @@ class McapBag(Bag):
                 raise ValueError("its index points nowhere")
             return data[offset + 31 : offset + 9 + length]
 
+    def stamp_ns(self, topic: str, index: int) -> int:
+        """Return the stamp; of a chunk that is not compressed, nothing else is read."""
+        with self._lock, damage_told(self.path, "it is damaged"):
+            _, chunk, offset = map(int, self._tables[topic][index])
+            if self._read(chunk + 28, 4) == b"\0\0\0\0":  # the length of the compression's name
+                head = self._read(chunk + 40 + offset, 43)
+                if head[0] == Opcode.MESSAGE:
+                    return self._stamp_ns(topic, head[31:])
+        return super().stamp_ns(topic, index)
+
     def attachment(self, name: str) -> bytes | None:
         if name not in self._attachments:
             return None

@@ -175,9 +175,10 @@ def _bias(it: Situation) -> MeasuredBias | None:
     if (scene := scene_bias(aligned.expected_m, difference_m, _MIN_RELIEF)) is not None:
         return scene
     known, facts = rig_bias(preset.noise, rig), it.patch.membrane
+    if facts is not None and facts.bias_seen:  # the test has measured it on prints
+        return MeasuredBias(facts.bias_m, facts.bias_sigma_m, "prints")
     try:
-        prints = print_bias([it.frame], rig, preset, known.noise_m4, difference_m)
-        if prints is not None:
+        if (prints := print_bias([it.frame], rig, preset, known.noise_m4, difference_m)) is not None:
             return prints
         if facts is not None:
             contact = (facts.bias_m, facts.firm_m2) if facts.firm_m2 > 0 and len(it.patch.points) else None
@@ -187,7 +188,7 @@ def _bias(it: Situation) -> MeasuredBias | None:
             return None  # without an inflated membrane nothing tells firm contact from a flat gap
     except RigMismatchError:  # a homography without a pose
         return None
-    return pressed_bias([it.frame], lambda _: contact, known.noise_m4, known.gap_sigma_m)
+    return pressed_bias([contact], known.noise_m4, known.gap_sigma_m)
 
 
 def prints(it: Situation) -> Finding | None:

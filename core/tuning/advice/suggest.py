@@ -91,7 +91,7 @@ def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
         progress(0.3, "Measuring the bias on prints")
         found.append(print_bias(free, rig, preset, density_m4))
         progress(0.6, "Measuring the bias in contact")
-        found.append(pressed_bias(evidence.frames, firm_contact_bias(preset, rig), density_m4))
+        found.append(pressed_bias(map(firm_contact_bias(preset, rig), evidence.frames), density_m4))
     best = min((bias for bias in found if bias is not None), key=lambda bias: bias.sigma_m, default=None)
     if best is None:
         raise AdviceError(

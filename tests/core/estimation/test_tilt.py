@@ -142,7 +142,7 @@ def test_filter_follows_with_less_noise_and_honest_sigmas():
 
 def test_filter_bridges_a_gap_and_forgets_after_a_long_one():
     times, _, raw = moving(60)
-    filter_ = TiltFilter(max_gap_s=0.5)
+    filter_ = TiltFilter()
     before = [filter_.update(tilt) for tilt in raw][-1]
     lost = {"roll_rad": None, "roll_sigma_rad": None, "pitch_rad": None, "pitch_sigma_rad": None}
     gap = filter_.update(replace(raw[-1], time_s=times[-1] + 0.1, **lost))

@@ -12,6 +12,7 @@ from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
+from tactune.core.rig import noise as noise_module
 from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
@@ -60,16 +61,16 @@ def still(rig):
     return [wall(rig, index) for index in range(40)]
 
 
-def nothing_pressed(frame):
-    """Answer as a contact test that finds no firm contact."""
-    return
+@pytest.fixture
+def pressed_is(monkeypatch):
+    """Return a function that says which firm contact the membrane test finds in a frame."""
+    return lambda contact: monkeypatch.setattr(noise_module, "firm_contact_bias", lambda preset, rig: contact)
 
 
-def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still):
+def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still, pressed_is):
     shares = []
-    noise = measure_noise(
-        still, rig, preset, progress=lambda share, _: shares.append(share), contact_bias=nothing_pressed
-    )
+    pressed_is(lambda frame: None)
+    noise = measure_noise(still, rig, preset, progress=lambda share, _: shares.append(share))
     assert noise.proximity.white_m == pytest.approx(0.0006, rel=0.1)
     assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
     assert noise.proximity.length_px == pytest.approx(2.0, rel=0.2)
@@ -106,14 +107,14 @@ def test_a_scene_without_smooth_surfaces_is_refused(rig, preset, still):
         measure_noise(frames, rig, preset)
 
 
-def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
+def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset, pressed_is):
     frames = [wall(rig, index, prints=False) for index in range(12)]
-    unknown = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
+    pressed_is(lambda frame: None)
+    unknown = measure_noise(frames, rig, preset)
     assert (unknown.bias_from, unknown.bias_m, unknown.bias_sigma_m) == ("unknown", 0.0, 0.005)
     assert "press an object firmly (1,000 mm2 or more)" in describe(unknown)[2]
-    pressed = measure_noise(
-        frames, rig, preset, contact_bias=lambda frame: (0.003 + 0.0001 * (frame.sequence % 3), 0.002)
-    )
+    pressed_is(lambda frame: (0.003 + 0.0001 * (frame.sequence % 3), 0.002))
+    pressed = measure_noise(frames, rig, preset)
     assert pressed.bias_from == "contact"
     assert pressed.bias_m == pytest.approx(0.0031)
     assert "3.1 ± " in describe(pressed)[2]
