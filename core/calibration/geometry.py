@@ -109,6 +109,14 @@ class Alignment:
             return mapped(self.homography, np.asarray(places, np.float64)[:, :2])
         return proximity_pixels(rig, self.points_m(rig, places), in_color)
 
+    def tactile_pixels(self, rig: Rig, points_m: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return the tactile pixels (N, 2) of points (N, 3) of the proximity frame, and their corrected depths."""
+        if self.pose is not None:
+            seen = moved(np.linalg.inv(self.pose), points_m)
+            return rig.tactile.intrinsics.project(seen), seen[:, 2]
+        assert self.homography is not None
+        return mapped(np.linalg.inv(self.homography), proximity_pixels(rig, points_m, False)), points_m[:, 2]
+
 
 def named_sides(x: float, y: float) -> str:
     """Return in words where an image displacement leads, such as ``"right and down"``."""

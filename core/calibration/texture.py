@@ -152,7 +152,8 @@ def tracked(first: Uint8Array, second: Uint8Array, places: Float32Array, levels:
     there, ahead, _ = cv2.calcOpticalFlowPyrLK(first, second, start, np.empty_like(start), **options)
     back, behind, _ = cv2.calcOpticalFlowPyrLK(second, first, there, np.empty_like(start), **options)
     returned = np.hypot(*(back - start).reshape(-1, 2).T) < _RETURN_PX
-    return there.reshape(-1, 2).astype(np.float64), (ahead & behind).ravel().astype(bool) & returned
+    found = (np.asarray(ahead) & np.asarray(behind)).ravel().astype(bool)
+    return there.reshape(-1, 2).astype(np.float64), found & returned
 
 
 def _described(views: list[_View]) -> Float64Array:
