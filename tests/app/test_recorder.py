@@ -32,7 +32,7 @@ class FakeWriter:
         return RecordingStatus(self.path, len(self.frames), self.dropped, 1000 * len(self.frames), 1.0, "")
 
     def close(self):
-        self.may_close.wait(10.0)
+        self.may_close.wait(60.0)
         self.closed = True
         return self.status()
 

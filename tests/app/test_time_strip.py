@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, at_rest
-from hands import CONTROL, LEFT, show_source, type_path
+from hands import CONTROL, show_source, type_path
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
@@ -89,19 +89,6 @@ def a_process_that_was_killed_is_replaced_and_ends_with_the_window(window, qtbot
     window.close_without_asking()
     with pytest.raises(ProcessLookupError):
         os.kill(number, 0)
-
-
-def test_a_click_and_a_drag_seek(window, qtbot):
-    show_source(qtbot, window, FakeSource(LENGTH), 3)
-    plot, strip = window.time_strip.plot_widget, window.time_strip
-    assert strip.isVisible()
-    QTest.mouseClick(plot.viewport(), LEFT, pos=strip.position_of(17).toPoint())
-    qtbot.waitUntil(lambda: at_rest(window, 17))
-    QTest.mousePress(plot.viewport(), LEFT, pos=strip.position_of(17).toPoint())
-    for index in (12, 8, 5):
-        QTest.mouseMove(plot.viewport(), strip.position_of(index).toPoint())
-    QTest.mouseRelease(plot.viewport(), LEFT, pos=strip.position_of(5).toPoint())
-    qtbot.waitUntil(lambda: at_rest(window, 5))
 
 
 def test_an_export_has_exactly_the_marked_frames(window, qtbot, tmp_path, scene):

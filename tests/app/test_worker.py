@@ -74,16 +74,6 @@ def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):
     assert watched.failures[0] == "Frame 1 of tiny could not be read (ZeroDivisionError: division by zero)."
 
 
-def test_opening_another_source_closes_the_first(watched, qtbot):
-    first, second = FakeSource(), FakeSource(length=2)
-    watched.open(first)
-    qtbot.waitUntil(lambda: len(watched.opened) == 1)
-    watched.open(second)
-    qtbot.waitUntil(lambda: len(watched.opened) == 2)
-    assert first.closed
-    assert not second.closed
-
-
 def test_shutting_down_while_a_source_opens(qtbot, preset):
     watched = Watched(preset)
 

@@ -4,7 +4,6 @@ Each attack is made from nothing, so the seeds are fixed. The limit of memory is
 """
 
 import json
-import os
 import struct
 import zlib
 from pathlib import Path
@@ -15,8 +14,6 @@ import pytest
 from attacks import bounded
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
-from tactune.core.lab.scan import load_transform
-from tactune.core.model.rig_file import load_rig
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -77,19 +74,13 @@ def folder(path, name, put):
     put(frame / name)
 
 
-DEEP = "[" * 100_000 + "]" * 100_000
-
 FILES = {
     "chunks.mcap": (mcap_of_large_chunks, play),
-    "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),
-    "deep.rig.json": (lambda p: p.write_text(DEEP), load_rig),
-    "deep.pose.json": (lambda p: p.write_text('{"T_proximity_scan":' + DEEP + "}"), load_transform),
     "zeros.json": (lambda p: p.write_bytes(bytes(50_000_000)), load_preset),
 }
 IMAGES = {
     "claims gigapixels": lambda p: p.write_bytes(png(60_000, 60_000, zlib.compress(bytes(1000)))),
     "claims 2 gigapixels as JPEG": lambda p: p.write_bytes(b"\xff\xd8\xff\xc0\x00\x11\x08" + b"\xff" * 8 + bytes(99)),
-    "is a pipe": os.mkfifo,
 }
 
 

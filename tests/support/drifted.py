@@ -20,19 +20,7 @@ from tactune.core.sources.simulator.source import SimulatorSource, SolvedScene
 
 @dataclass(frozen=True)
 class Drift:
-    """What has happened since calibration.
-
-    Attributes
-    ----------
-    camera : "proximity" or "tactile"
-        Which camera moved.
-    shift_m : tuple of float
-        Its translation along its own x, y and z.
-    turn_deg : tuple of float
-        Its rotation about its own x, y and z.
-    apex_m : float
-        Growth of the untouched apex's height above the rim.
-    """
+    """What has happened since calibration: a camera was shifted or turned about its own axes, or the apex has grown."""
 
     camera: CameraRole = "tactile"
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -70,14 +58,7 @@ def _moved(camera: Camera, motion: Float64Array) -> Camera:
 
 
 class DriftedSimulator(SimulatorSource):
-    """The simulated sensor after a `Drift`; its rig is still the one from before.
-
-    Parameters
-    ----------
-    drift : Drift
-    options
-        Those of `SimulatorSource`.
-    """
+    """The simulated sensor after a `Drift`; its rig is still the one from before."""
 
     def __init__(self, drift: Drift, **options: Any) -> None:
         self.drift = drift

@@ -49,11 +49,11 @@ class LongSearch:
         process = subprocess.Popen(
             [*self.command, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
-        for _ in range(20 * LIMIT_S):
+        for _ in range(200 * LIMIT_S):
             if self.measured() > 5:
                 return process
             assert process.poll() is None, process.communicate()
-            time.sleep(0.05)
+            time.sleep(0.005)  # a trial takes some milliseconds
         raise AssertionError("no trial was measured")
 
     def measured(self) -> int:

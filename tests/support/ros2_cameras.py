@@ -118,7 +118,7 @@ def cameras(
         finally:
             if process.stdin is not None:
                 process.stdin.close()
-            process.wait(10)
+            process.wait(60)
 
 
 if __name__ == "__main__":

@@ -38,12 +38,7 @@ class ClickNoise:
 
 @dataclass(frozen=True, eq=False)
 class Clicks:
-    """Noisy clicks beside the true ones.
-
-    Attributes
-    ----------
-    noisy, true : PointArrays
-    """
+    """Noisy clicks beside the true ones."""
 
     noisy: PointArrays
     true: PointArrays
@@ -66,15 +61,7 @@ class Clicks:
 
 
 def membrane_points(across_m: npt.ArrayLike, apex_m: npt.ArrayLike) -> Float64Array:
-    """Return points (N, 3) of a cushion over a rectangle, metres in the proximity frame.
-
-    Parameters
-    ----------
-    across_m : array_like, shape (N, 2)
-        x and y.
-    apex_m : array_like, shape (N,) or float
-        Distance of the apex.
-    """
+    """Return points (N, 3) of a cushion over a rectangle at x and y, (N, 2), metres in the proximity frame."""
     across = np.asarray(across_m, np.float64)
     x, y = ((across - _MIDDLE_M) / _HALF_SIZE_M).T
     height = np.clip(1 - x**2, 0, 1) * np.clip(1 - y**2, 0, 1)
@@ -88,25 +75,15 @@ def make_clicks(
     noise: ClickNoise | None = None,
     color_share: float = 0.0,
     wrong: float = 0.0,
-    layout: Callable[[int], Float64Array] | None = None,
 ) -> Clicks:
     """Click random places of the membrane at the three inflation levels in turn.
 
-    Parameters
-    ----------
-    rig : Rig
-        With its true pose.
-    color_share : float
-        Share of the proximity clicks that are made in the colour image.
-    wrong : float
-        Share of the pairs whose proximity click lies anywhere in the image.
-    layout : callable, optional
-        Places (count, 2) on a membrane of half width 1; default: random ones.
+    Of the proximity clicks ``color_share`` are made in the colour image, and ``wrong`` lie anywhere.
     """
     noise = noise or ClickNoise()
     rng = np.random.default_rng(seed)
     reach = _CLICKED_SHARE * np.array(_HALF_SIZE_M)
-    across = rng.uniform(-reach, reach, (count, 2)) if layout is None else reach * layout(count)
+    across = rng.uniform(-reach, reach, (count, 2))
     points = membrane_points(across + _MIDDLE_M, np.resize(LEVELS_M, count))
     in_color = rng.random(count) < color_share
     true = project_points(points, rig, in_color)

@@ -232,7 +232,7 @@ class SoftwareRig:
     def close(self) -> None:
         self._quit.set()
         if self._thread is not None:
-            self._thread.join(10.0)
+            self._thread.join(60.0)
 
     def obey(self, command: Command) -> None:
         role = command.camera
@@ -256,7 +256,8 @@ class SoftwareRig:
         number = 0
         while count is None or number < count:
             due_s = start_s + number / RATE_HZ
-            if self._quit.wait(max(due_s - time.time(), 0.0)):
+            # after a pause of a busy computer no burst, which would be more than a driver's queue holds
+            if self._quit.wait(max(due_s - time.time(), 0.01)):
                 return
             if commands is not None:
                 self._obey_all(commands)

@@ -89,14 +89,13 @@ def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_stee
     view.set_cloud(cloud_of(wall(700), index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
     for width, height in ((420, 360), (300, 500), (700, 250)):
         view.resize(width, height)
-        qtbot.wait(50)
+        qtbot.waitUntil(lambda width=width: canvas_of(view).width() <= view.width() == width)
         left, top, right, bottom = extent(view, RED)
         assert min(left, top) >= 0
         assert max(right, bottom) <= 1
         assert max(right - left, bottom - top) > 0.8
     view.set_camera(FRONT)
     view.resize(420, 360)
-    qtbot.wait(50)
     view.set_cloud(None)
     view.set_cloud(cloud_of(wall(500)))
     assert view.camera() == FRONT

@@ -1,8 +1,6 @@
 """Sliders and entries of numbers and ranges, by mouse and keys."""
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
@@ -116,22 +114,6 @@ def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot):
     widget.setValue(0.2345)
     QTest.keyClick(widget.entry, Qt.Key.Key_Down)
     assert widget.value() == 0.2
-
-
-@given(value=st.floats(0.0, 1.0))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
-def test_showing_a_value_never_changes_it(qtbot, value):
-    widget = NumbersEditor(spec_of("tolerance.t"))
-    edits = record(widget)
-    widget.setValue(value)
-    assert widget.value() == value
-    widget.entry.setFocus()
-    QTest.keyClick(widget.entry, Qt.Key.Key_Return)
-    QTest.keyClick(widget.entry, Qt.Key.Key_Tab)
-    widget.entry.clearFocus()
-    assert widget.value() == value
-    assert edits == []
-    widget.deleteLater()
 
 
 LEFT = Qt.MouseButton.LeftButton

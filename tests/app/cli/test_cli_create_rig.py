@@ -1,9 +1,6 @@
 """``tactune preset create-rig``: the rig of a folder of images, without a window."""
 
-import shutil
-
 import cv2
-import numpy as np
 import pytest
 
 from tactune.core.model.rig_file import load_rig
@@ -40,17 +37,3 @@ def test_what_is_assumed_is_said(tactune, bare):
     assert load_rig(bare / "rig.json").proximity_color is None
     assert "the depth lens of the D405 is the maker's" in done.err
     assert "depth lens of the D435" not in done.err
-
-
-def test_a_lens_is_fitted_to_pictures_of_a_chessboard(tactune, tmp_path, shared_data):
-    folder, boards = tmp_path / "images", tmp_path / "boards"
-    for made in (folder, boards):
-        made.mkdir()
-    for path in (shared_data / "stereo_boards").glob("left*.jpg"):
-        shutil.copy(path, boards)
-    for name in ("proximity_depth", "tactile_depth"):
-        cv2.imwrite(str(folder / f"{name}.png"), np.full((480, 640), 300, np.uint16))
-    cv2.imwrite(str(folder / "proximity_color.png"), np.ones((480, 640, 3), np.uint8))
-    lenses = "--proximity", "L515", "--tactile", f"D405={boards}"
-    assert tactune("preset", "create-rig", folder, *lenses, "--unit", "mm").status == 0
-    assert load_rig(folder / "rig.json").tactile.intrinsics.fx == pytest.approx(535.9, rel=0.01)

@@ -14,8 +14,6 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
-from tactune.core.sources.presets import load_preset
-from tactune.core.sources.registry import open_source
 
 COMMAND = [sys.executable, "-m", "tactune.app"]
 
@@ -29,20 +27,6 @@ def json_lines(text):
 
 def names(folder):
     return sorted(file.name for file in folder.iterdir())
-
-
-def test_the_files_hold_what_three_lines_of_python_give(tactune, recording, tmp_path):
-    assert tactune("run", "--source", recording, "--preset", "default", "--out", tmp_path / "out").status == 0
-    with open_source(str(recording)) as source:
-        pipeline = ContactPipeline(load_preset("default"), source.rig)
-        patches = [pipeline.process(frame) for frame in source]
-    assert any(len(patch.points) for patch in patches)
-    assert names(tmp_path / "out") == [f"patch_{patch.sequence:06d}.npz" for patch in patches]
-    for patch in patches:
-        with np.load(tmp_path / "out" / f"patch_{patch.sequence:06d}.npz") as saved:
-            assert saved["points"].dtype == np.float32
-            assert saved["points"].tobytes() == patch.points.tobytes()
-            assert np.array_equal(np.stack([saved["v"], saved["u"]]), np.nonzero(patch.mask))
 
 
 def test_json_lines_say_what_the_patch_is(tactune, recording):

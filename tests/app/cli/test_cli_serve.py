@@ -11,7 +11,6 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
 
@@ -64,23 +63,6 @@ def mesh(tmp_path):
     cup = simulated_mesh(resolve_scene("cup"), "cup")
     trimesh.Trimesh(cup.vertices_m, cup.triangles, process=False).export(tmp_path / "cup.ply")
     return tmp_path / "cup.ply"
-
-
-@pytest.mark.long
-def test_a_pose_is_published_where_a_mesh_is_given(mesh):
-    asked = ("--mesh", str(mesh), "--unit", "m")
-    numbers = {}
-    with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
-        client.subscribe(["/object/pose", "/tactune/frame"])
-        for topic, stamp_ns, message in client.messages():
-            if topic == "/tactune/frame":
-                numbers[stamp_ns] = number_of({topic: message})
-            elif stamp_ns in numbers:
-                break
-    frame, _ = find(numbers[stamp_ns], load_preset("simulator"))
-    truth = np.array(frame.truth.T_proximity_object)
-    position = message.pose.pose.position
-    assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
 
 
 def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(mesh, monkeypatch, tactune):

@@ -1,7 +1,7 @@
 import pytest
 
 from tactune.app.document.document import Document
-from tactune.core.preset import Preset, now
+from tactune.core.preset import now
 from tactune.core.sources.presets import load_preset
 
 
@@ -56,23 +56,6 @@ def test_a_refused_value_changes_nothing_and_says_why(document, preset, path, va
     assert document.undo_stack.count() == 0
     assert said[0][0] == path
     assert words in said[0][1]
-
-
-def test_save_and_open_give_the_same_values_back(document, tmp_path):
-    document.edit("mask.hue", (170, 10))
-    document.edit("tolerance.t", 0.0123)
-    assert document.dirty
-    assert document.title == "tiny *"
-    path = tmp_path / "mine.json"
-    document.save(path)
-    assert not document.dirty
-    assert document.path == path
-    other = Document(Preset())
-    other.open(path)
-    assert other.preset == load_preset(path)
-    assert other.preset.mask.hue == (170, 10)
-    assert other.preset.tolerance.t == 0.0123
-    assert not other.dirty
 
 
 def test_notes_date_what_was_changed_and_those_that_hold_no_longer_go(tmp_path):

@@ -64,9 +64,14 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
 
 
 def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch):
-    monkeypatch.setattr(gather, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(gather, "PATIENCE_S", 600.0)
     show_source(qtbot, window, FakeSource(8, name="short", ends_at=5), 0)
-    opened = capture(qtbot, window, 15)
+    opened = open_capture(qtbot, window)
+    opened.wanted = 15
+    QTest.mouseClick(opened.start, LEFT)
+    qtbot.waitUntil(lambda: "5 frames" in opened.progress.text())
+    monkeypatch.setattr(gather, "PATIENCE_S", 0.0)
+    qtbot.waitUntil(lambda: not opened.busy)
     assert window.document.preset.untouched.frames == 5
     assert "no more" in opened.sentence.text()
 

@@ -7,11 +7,9 @@ import pytest
 
 from fakes import FakeSource, tiny_frame
 from tactune.app.timeline.series import Series, time_series, visiting_order
-from tactune.app.timeline.series_job import SeriesJob
 from tactune.core import ContactPipeline
 from tactune.core.model.frames import GroundTruth
 from tactune.core.preset import Preset
-from tactune.core.sources.folder import export_folder
 
 PRESET = Preset(contact_test="tolerance").with_values({"tolerance.t": 0.03, "outliers.enabled": False})
 
@@ -48,20 +46,3 @@ def test_visits_every_frame_once_and_the_whole_recording_first(length):
     assert len(first_pass) <= 100
     assert max(first_pass) >= 0.95 * length - 1
     assert visiting_order(length, Preset().with_values({"membrane.frames": 5})) == list(range(length))
-
-
-def test_the_process_computes_the_same_and_tells_what_is_wrong(qtbot, tmp_path):
-    export_folder(FakeSource(8), tmp_path / "tiny")
-    name, found = f"folder:{tmp_path / 'tiny'}", []
-    job = SeriesJob()
-    job.found.connect(found.extend)
-    with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
-        job.start(name, 8, PRESET)
-    assert ended.args == [""]
-    expected = {values.index: values.area_mm2 for values in time_series(FakeSource(8), PRESET, range(8))}
-    assert {values.index: values.area_mm2 for values in found} == expected
-    with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
-        job.start(name, 5, PRESET)
-    assert "8 frames" in ended.args[0]
-    job.stop()
-    assert job.process is None

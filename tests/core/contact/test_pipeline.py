@@ -1,4 +1,5 @@
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -215,3 +216,20 @@ def test_pipelines_in_many_threads_give_the_same_bits():
     with ThreadPoolExecutor(4) as pool:
         for _ in range(5):
             assert list(pool.map(bits, scenes)) == alone
+
+
+@pytest.mark.parametrize("test", ["membrane", "tolerance"])
+def test_points_are_one_array_that_later_frames_do_not_overwrite(make_rig, make_frame, test):
+    rig = make_rig(width=320, height=240, color=True)
+    pipeline, frame = ContactPipeline(Preset(contact_test=test), rig), make_frame(rig)
+    patch = pipeline.process(frame)
+    points = patch.points
+    assert points is patch.points
+    assert points.flags.c_contiguous
+    assert points.flags.owndata
+    assert (points.dtype, points.shape) == (np.float32, (int(patch.mask.sum()), 3))
+    assert len(points) > 1000
+    before = points.copy()
+    nearer = replace(frame, proximity_depth=frame.proximity_depth - 8, tactile_depth=frame.tactile_depth - 8)
+    assert not np.array_equal(pipeline.process(nearer).points[:1000], before[:1000])
+    assert np.array_equal(points, before)

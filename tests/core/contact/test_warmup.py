@@ -5,8 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
 
 PROCESS = """
@@ -42,48 +40,6 @@ print(compiled_so_far())
     assert str(tmp_path) in first
     again = run(program, NUMBA_CACHE_DIR=str(tmp_path))
     assert again.startswith("False True\nCompiled(loaded=1, compiled=0")
-
-
-MEMBRANE = {
-    "mark_tiles", "ranges_of_tiles", "spread", "find_differences", "block_points", "bulges", "average_cells",
-    "measure_cells", "extrapolate", "continue_beside", "guess_gaps", "mark_inside", "link_cells", "settle",
-    "mark_large", "root", "collect_points", "colors_in_range",
-}  # fmt: skip
-AVERAGE = {"forget_moved", "add_to_means"}
-TOLERANCE = {
-    "mark_tiles", "ranges_of_tiles", "spread", "find_candidates", "lay", "clear", "search_rows", "search_points",
-    "search_all", "part_coordinates", "compare", "compact", "mark_large", "root", "colors_in_range",
-}  # fmt: skip
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "steps",
-    [
-        [({"contact_test": "membrane"}, MEMBRANE), ({"membrane.frames": 5}, MEMBRANE | AVERAGE)],
-        [({"contact_test": "tolerance"}, TOLERANCE)],
-    ],
-    ids=["membrane", "tolerance"],
-)
-def test_only_what_the_contact_test_needs_is_compiled(tmp_path, steps):
-    """Steps share a folder, so the second one compiles what it needs beyond the first only."""
-    kept_before = 0
-    for values, kernels in steps:
-        program = f"""
-preset = Preset().with_values({values!r})
-print(is_compiled(preset), is_compiled())
-told = []
-warm_up_test(preset, lambda share, words: told.append((share, words)))
-print(is_compiled(preset), is_compiled())
-shares, words = zip(*told)
-print(list(shares) == sorted(shares), words[0].rpartition(" ")[2], len(told) - 2)
-"""
-        *said, total, compiled = run(program, NUMBA_CACHE_DIR=str(tmp_path)).split()
-        assert said == ["False", "False", "True", "False", "True"]
-        assert int(total) == kept_before + int(compiled)
-        kept_before = int(total)
-        kept = {path.name.rpartition("-")[0].partition(".")[2].lstrip("_") for path in tmp_path.rglob("*.nbi")}
-        assert {name.partition("-")[0] for name in kept} == kernels
 
 
 def test_no_frame_of_the_membrane_test_waits_for_a_compiler():

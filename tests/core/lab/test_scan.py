@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from painted_scan import PaintFlaws, write_painted_scan
+from painted_scan import PINK, PURPLE, write_painted_scan
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.lab.scan import (
     PaintSettings,
@@ -27,7 +27,6 @@ pytest.importorskip("trimesh")
 
 SOURCE = "sim:cup?press=medium&sensor=datasheet"
 FRAME = 3
-PINK, PURPLE = (235, 110, 170), (90, 50, 140)
 SIDE_M = 0.001
 
 
@@ -90,14 +89,9 @@ def source():
 
 
 @pytest.fixture(scope="module")
-def scans(source, tmp_path_factory):
-    """The cup as a clean and a flawed mesh with coloured vertices."""
-    folder = tmp_path_factory.mktemp("my scans")
-    flaws = PaintFlaws(noise=12, specks=40, seed=1)
-    return {
-        "clean": write_painted_scan(source, FRAME, folder / "clean.ply"),
-        "flawed": write_painted_scan(source, FRAME, folder / "flawed.ply", flaws),
-    }
+def painted(source, tmp_path_factory):
+    """The cup as a mesh with coloured vertices, and its pose."""
+    return write_painted_scan(source, FRAME, tmp_path_factory.mktemp("my scans") / "cup.ply")
 
 
 @pytest.fixture(scope="module")
@@ -108,8 +102,8 @@ def direct_mm(source):
     return compare_with_truth(patch, frame.truth, source.rig)["rmse_mm"]
 
 
-def test_a_scan_shows_the_solvers_contact(source, scans):
-    scan, pose = load_scan(scans["flawed"][0]), load_transform(scans["flawed"][-1])
+def test_a_scan_shows_the_solvers_contact(source, painted):
+    scan, pose = load_scan(painted[0]), load_transform(painted[1])
     np.testing.assert_array_equal(pose, source.facts(FRAME).T_proximity_object)
     contact = painted_contact(scan, PaintSettings())
     truth = truth_cloud(source.read(FRAME).truth, source.rig).points
@@ -119,9 +113,9 @@ def test_a_scan_shows_the_solvers_contact(source, scans):
     assert scan_truth(scan, contact, pose).area_mm2 == pytest.approx(area_mm2, rel=0.03)
 
 
-def test_the_scores_with_the_true_transform_are_the_direct_ones(tactune, scans, direct_mm, tmp_path):
+def test_the_scores_with_the_true_transform_are_the_direct_ones(tactune, painted, direct_mm, tmp_path):
     status, _, err = tactune(
-        "lab", "scan", "--source", SOURCE, "--scan", scans["clean"][0], "--transform", scans["clean"][-1],
+        "lab", "scan", "--source", SOURCE, "--scan", painted[0], "--transform", painted[1],
         "--frame", FRAME, "--frames", 1, "--csv", tmp_path / "scores.csv",
     )  # fmt: skip
     assert (status, err) == (0, "")
@@ -142,11 +136,11 @@ def test_the_scores_with_the_true_transform_are_the_direct_ones(tactune, scans, 
         (("--transform", "{away}"), ("behind the proximity camera",)),
     ],
 )
-def test_what_cannot_be_evaluated_ends_with_a_sentence(tactune, scans, tmp_path, more, words):
+def test_what_cannot_be_evaluated_ends_with_a_sentence(tactune, painted, tmp_path, more, words):
     away = tmp_path / "away.txt"
     away.write_text("1 0 0 0\n0 1 0 0\n0 0 1 -1\n0 0 0 1\n")
-    names = {"{pose}": scans["clean"][-1], "{away}": away}
-    command = ["lab", "scan", "--source", SOURCE, "--scan", scans["clean"][0]]
+    names = {"{pose}": painted[1], "{away}": away}
+    command = ["lab", "scan", "--source", SOURCE, "--scan", painted[0]]
     status, _, err = tactune(*command, *(names.get(word, word) for word in more))
     assert status == 2
     assert all(word in err for word in words), err

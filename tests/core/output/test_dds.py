@@ -47,15 +47,7 @@ def published(processed, *sinks):
 @pytest.mark.long
 def test_fast_dds_receives_every_bit(processed, fast_dds_program, domain):
     frame, patch, _ = processed
-    topics = {
-        "/contact/patch": "reliable",
-        "/contact/area_mm2": "best_effort",
-        "/proximity/points": "reliable",
-        "/tactile/depth/image": "reliable",
-        "/proximity/depth/camera_info": "reliable",
-        "/object/pose": "reliable",
-        "/diagnostics": "reliable",
-    }
+    topics = {"/contact/patch": "reliable", "/contact/area_mm2": "best_effort", "/tactile/depth/image": "reliable"}
     with (
         published(processed, DdsSink(domain, "left_finger")),
         FastDds(fast_dds_program, domain, topics, "/left_finger") as subscriber,
@@ -63,23 +55,11 @@ def test_fast_dds_receives_every_bit(processed, fast_dds_program, domain):
     ):
         subscriber.wait_for(lambda: all(subscriber.counts.values()))
         transforms.wait_for(lambda: all(transforms.counts.values()))
-
     assert len(patch.points) > 1000
     assert np.array_equal(points_of(subscriber.decoded("/contact/patch"))[0], patch.points)
     assert subscriber.decoded("/contact/area_mm2").data == patch.area_mm2
-    cloud = points_of(subscriber.decoded("/proximity/points"))
-    known = ~np.isnan(cloud[..., 2])
-    assert cloud.shape == (*frame.proximity_depth.shape, 3)
-    assert known.sum() > 200_000
-    assert np.array_equal(
-        cloud[known][:, 2], frame.proximity_depth[known] * np.float32(patch.rig.proximity.depth_unit_m)
-    )
     image = subscriber.decoded("/tactile/depth/image")
     assert bytes(image.data) == frame.tactile_depth.astype("<u2").tobytes()
-    assert subscriber.decoded("/proximity/depth/camera_info").k[0] == patch.rig.proximity.intrinsics.fx
-    pose = subscriber.decoded("/object/pose").pose
-    assert (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z) == (0.1, -0.02, 0.3)
-    assert "total ms" in {pair.key for pair in subscriber.decoded("/diagnostics").status[0].values}
     assert transforms.decoded("/tf").transforms[0].child_frame_id == "object"
     assert "tactile_depth_optical_frame" in {t.child_frame_id for t in transforms.decoded("/tf_static").transforms}
 

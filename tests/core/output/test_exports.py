@@ -147,13 +147,6 @@ def test_h5py_reads_every_image_time_and_unit(tmp_path):
         assert parse_rig(json.loads(file.attrs["rig"]), "rig") == RIG
 
 
-def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path):
-    (tmp_path / "a.h5").write_text("mine")
-    with pytest.raises(TactuneError, match="already there"):
-        export_hdf5(list_source([make_frame(0)]), tmp_path / "a.h5", exclusive=True)
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
-
-
 def test_one_camera_alone_is_the_tactile_one(tmp_path):
     rig = Rig.of_one_camera(RIG.proximity)
     frame = SensorFrame.of_shots(rig, 0, None, Shot(make_frame(0).proximity_depth, None, 0.0))

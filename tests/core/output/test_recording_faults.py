@@ -92,14 +92,14 @@ def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same
     write = Bag.write
 
     def slowly(self, *message):
-        assert go.wait(30)
+        assert go.wait(60)
         write(self, *message)
 
     monkeypatch.setattr(Bag, "write", slowly)
     frames = make_frames(6)
     writer = SessionWriter(tmp_path / "slow.mcap", rig, queue_bytes=1)
     assert writer.put(frames[0], wait=True)
-    end = time.monotonic() + 30
+    end = time.monotonic() + 60
     while not writer.put(frames[1], wait=False):  # until the thread has taken the first
         assert time.monotonic() < end, "the thread takes no frame"
         time.sleep(0.001)
@@ -112,7 +112,7 @@ def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same
     waiting = threading.Thread(target=lambda: [writer.put(frame, wait=True) for frame in frames[4:]])
     waiting.start()
     go.set()
-    waiting.join(30)
+    waiting.join(60)
     status = writer.close()
     assert (status.frames, status.dropped) == (4, before + 2)
     kept = [frames[0], frames[1], *frames[4:]]

@@ -5,20 +5,6 @@ import pytest
 from tactune.core.errors import SourceError
 from tactune.core.sources.folder import FolderSource
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.scenes import Variant, read_name, source_options
-from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
-
-
-@pytest.mark.parametrize(
-    ("rest", "expected"),
-    [
-        ("", {"scene": "cup", "seed": 0, "noise": 1.0}),
-        ("octopus?seed=3&noise=0.5&sensor=worn", {"scene": "octopus", "seed": 3, "noise": 0.5, "sensor": "worn"}),
-    ],
-)
-def test_simulator_names(rest, expected):
-    plain = {"sensor": DEFAULT_SENSOR, "variant": Variant(), "cameras": "two"}
-    assert source_options(read_name(rest)) == plain | expected
 
 
 def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording):

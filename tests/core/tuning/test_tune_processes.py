@@ -56,7 +56,7 @@ def test_a_line_that_a_crash_cut_off_is_dropped(tune, recording, tmp_path):
 
 
 def wait_for_the_end_of(session):
-    for _ in range(300):
+    for _ in range(10 * LIMIT_S):
         if not living(session):
             return
         time.sleep(0.1)

@@ -13,7 +13,7 @@ def nothing_left():
     resource_tracker.ensure_running()  # it lives as long as this process
     before = _open_things()
     yield
-    deadline_s = time.monotonic() + 30
+    deadline_s = time.monotonic() + 60
     while (left := _open_things() - before) and time.monotonic() < deadline_s:
         time.sleep(0.02)
     assert not left

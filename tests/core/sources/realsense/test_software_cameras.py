@@ -24,7 +24,7 @@ def test_framesets_arrive_pixel_for_pixel_and_none_is_lost():
     """From the second one on: the driver pairs no first images."""
     with open_software_rig(count=IMAGES) as source:
         for number in range(1, IMAGES):
-            assert source.wait(10.0), f"no frame {number}: {source.health()}"
+            assert source.wait(60.0), f"no frame {number}: {source.health()}"
             frame = source.next_frame()
             assert frame.sequence == number - 1
             for role, depth, color in (
@@ -102,7 +102,7 @@ def test_options_of_the_preset_are_set_before_the_first_image_and_refusals_are_t
     with open_software_rig(cameras=cameras) as source:
         values = options_of(source)
         message = source.health().message
-        assert source.wait(10.0)
+        assert source.wait(60.0)
     assert values["proximity", "laser_power"] == 30.0
     assert values["proximity", "visual_preset"] == 4.0
     assert values["tactile", "exposure"] == 5_000.0
@@ -130,7 +130,7 @@ def test_a_delay_of_the_tactile_camera_is_taken_off_its_stamps_before_pairing():
     """Seven periods: image n of the tactile camera shows what image n - 7 of the other one shows."""
     with open_software_rig(cameras=CamerasSection(tactile_delay_s=7 / 30)) as source:
         for _ in range(20):
-            assert source.wait(10.0)
+            assert source.wait(60.0)
             frame = source.next_frame()
             numbers = [
                 software_rig.image_number(role, depth)
@@ -138,7 +138,7 @@ def test_a_delay_of_the_tactile_camera_is_taken_off_its_stamps_before_pairing():
             ]
             assert numbers[1] - numbers[0] == 7
             assert abs(frame.skew_s) < 1e-6
-            assert abs(frame.proximity_time_s - time.time()) < 10.0
+            assert abs(frame.proximity_time_s - time.time()) < 60.0
 
 
 def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):

@@ -1,31 +1,9 @@
 """Damaged RealSense recordings: one sentence, or what is whole plays."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from bag_maker import D405, L515, make_bag
-from tactune.core.errors import SourceError
-from tactune.core.sources.realsense_files import BagSource
-
-DATA = Path(__file__).parents[3] / "data"
-BAG, ZSTD_DB3, PNG_DB3 = (DATA / name for name in ("l515_2.54.2.bag", "d405_2.58.4.db3", "d405_2.59.1.db3"))
-
-
-@pytest.mark.parametrize("path", [BAG, ZSTD_DB3, PNG_DB3], ids=lambda path: path.name)
-def test_a_file_cut_anywhere_is_refused_or_plays_what_is_whole(path, tmp_path):
-    with BagSource(path) as source:
-        frames = {frame.proximity_time_s: frame.proximity_depth for frame in source}
-    whole, cut = path.read_bytes(), tmp_path / path.name
-    for size in [*range(0, 200, 7), *range(200, len(whole), len(whole) // 40), len(whole) - 1]:
-        cut.write_bytes(whole[:size])
-        try:
-            with BagSource(cut) as source:
-                for frame in source:
-                    np.testing.assert_array_equal(frame.proximity_depth, frames[frame.proximity_time_s])
-        except SourceError as error:
-            assert "copy it again" in str(error)
 
 
 @pytest.mark.parametrize("has_index", [True, False])

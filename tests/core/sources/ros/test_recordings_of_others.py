@@ -103,15 +103,6 @@ def test_names_that_do_not_tell_are_asked_for_and_the_answer_is_kept(tmp_path):
         first_frame(path)
 
 
-def test_only_images_half_a_period_apart_are_a_frame(tmp_path):
-    late = depth(TOUCH, "b_optical", 390, stamps_s=(0.0, 0.1, 0.26, 0.36), late_s=0.5)
-    near = depth(NEAR, "a_optical", stamps_s=(0.0, 0.1, 0.2, 0.3))
-    with open_source(str(make_recording(tmp_path / "take", [near, late]))) as source:
-        pairs = [(int(f.proximity_depth[0, 0]), int(f.tactile_depth[0, 0])) for f in source]
-        assert pairs == [(400, 390), (401, 391), (403, 392)]
-        assert source.health().unmatched == 2
-
-
 DEPTHS = {
     "16UC1": np.arange(H * W, dtype=np.uint16).reshape(H, W) + 300,
     "mono16": np.arange(H * W, dtype=np.uint16).reshape(H, W) + 300,
