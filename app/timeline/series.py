@@ -46,6 +46,8 @@ class FrameValues:
     points: float = math.nan
     ms: float = math.nan
     iou: float = math.nan
+    force_n: float = math.nan
+    force_mm2: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,9 @@ def frame_values(index: int, frame: SensorFrame, patch: ContactPatch) -> FrameVa
     if frame.truth is not None:
         iou = pixel_scores(patch.mask, frame.truth.contact).iou
     ms = sum(patch.stage_ms.values())
-    return FrameValues(index, patch.area_mm2, len(patch.points), ms, iou)
+    force_n = math.nan if patch.force_n is None else math.hypot(*patch.force_n)
+    force_mm2 = math.nan if patch.pressure is None else math.hypot(*patch.pressure.force_mm2)
+    return FrameValues(index, patch.area_mm2, len(patch.points), ms, iou, force_n, force_mm2)
 
 
 def visiting_order(length: int, preset: Preset) -> list[int]:

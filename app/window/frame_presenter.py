@@ -64,6 +64,11 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
     gap = f"gap {1e3 * gap_m:.2f} mm" if math.isfinite(gap_m) else ""
     if gap and verdict is Provenance.RIM:
         why, gap = f"{gap}: outside the edge of contact", ""
+    pressure = patch.pressure
+    q = math.nan if pressure is None else float(pressure.relative.get()[v, u])
+    if pressure is not None and math.isfinite(q):
+        known = pressure.inflation_pa > 0
+        gap = f"pressure {1e-3 * pressure.inflation_pa * q:.2f} kPa" if known else f"pressure {q:.2f} × inflation"
     # What a narrow window cuts off comes last.
     two = patch.rig.has_proximity
     parts = [f"({u}, {v})", f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}", why, gap]

@@ -35,6 +35,15 @@ def patch_readings(result: Result, shown_fps: float) -> Sequence[Reading]:
         touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
         if math.isfinite(doubt.boundary_error_mm):
             edge = f"±{doubt.boundary_error_mm:.1f} mm"
+    force = []
+    if patch is not None and patch.pressure is not None:
+        known = patch.pressure.inflation_pa > 0
+        (size, sigma), unit = patch.pressure.strength, "N" if known else "mm²"
+        digits = 2 if known and size < 10 else 1 if known else 0
+        shown = result.area_mm2 > 0 and math.isfinite(size)
+        value = f"{size:,.{digits}f} ± {sigma:,.{digits}f} {unit}" if shown else _UNKNOWN
+        caption, widest = ("force", "00.00 ± 0.00 N") if known else ("force over inflation", "00,000 ± 0,000 mm²")
+        force = [Reading(value, caption, widest)]
     rate = f"{shown_fps:.0f} fps" if result.playback.playing else _UNKNOWN
     return (
         Reading(area, "area", "00,000 mm²"),
@@ -42,6 +51,7 @@ def patch_readings(result: Result, shown_fps: float) -> Sequence[Reading]:
         Reading(rate, "frame rate", "00 fps"),
         Reading(centroid, "centroid x, y, z in mm", "−000, −000, 000"),
         Reading(edge, "edge", "±00.0 mm"),
+        *force,
     )
 
 

@@ -21,15 +21,17 @@ from ...widgets.basics.colormaps import (
     behind_legend,
     depth_legend,
     patch_legend,
+    pressure_legend,
     provenance_legend,
 )
 from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
+from ...widgets.clouds.cloud_canvas import Place
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_labels import level
-from ...widgets.clouds.cloud_view import CloudView, link_cameras
+from ...widgets.clouds.cloud_view import CloudView, as_place, link_cameras
 from ...widgets.images.image_strip import ImageStrip
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
@@ -49,7 +51,10 @@ _NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open 
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch, hatched where doubtful",
     ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Patch: what the last steps dropped",
+    ColorBy.PRESSURE: "Contact pressure on the membrane and the patch, in kPa, or relative to an unknown inflation",
 }
+_COLORS_TIP = "What the colours of the points mean"
+_NO_PRESSURE = f"{_COLORS_TIP}. Pressure is a choice with the contact test pressure"
 
 
 class ViewArea(QWidget):
@@ -84,11 +89,9 @@ class ViewArea(QWidget):
             view.set_focus_finder(self._focus)
         self.color_by = ChoiceBox()
         self.color_by.setAccessibleName("Colour by")
-        self.color_by.setToolTip("What the colours of the points mean")
-        for choice in ColorBy:
-            self.color_by.addItem(choice.value.capitalize(), choice)
-            self.color_by.setItemData(self.color_by.count() - 1, _COLOR_TIPS[choice], Qt.ItemDataRole.ToolTipRole)
-        self.color_by.currentIndexChanged.connect(self.wantedChanged)
+        self._colors = ColorBy.CONTACT  # as chosen, also while the frames on the screen have no pressure
+        self._offer_colors(with_pressure=False)
+        self.color_by.currentIndexChanged.connect(lambda _: self.choose_colors(self.color_by.currentData()))
         self.point_size = QSlider(Qt.Orientation.Horizontal)
         self.point_size.setRange(*POINT_SIZES)
         self.point_size.setValue(2)
@@ -166,10 +169,22 @@ class ViewArea(QWidget):
         self.wantedChanged.emit()
 
     def chosen_colors(self) -> ColorBy:
-        return ColorBy(self.color_by.currentData())
+        return self._colors
 
     def choose_colors(self, choice: ColorBy) -> None:
-        self.color_by.setCurrentIndex(self.color_by.findData(choice))
+        self._colors = choice
+        with QSignalBlocker(self.color_by):
+            self.color_by.setCurrentIndex(max(0, self.color_by.findData(choice)))
+        self.wantedChanged.emit()
+
+    def _offer_colors(self, with_pressure: bool) -> None:
+        with QSignalBlocker(self.color_by):
+            self.color_by.clear()
+            for number, choice in enumerate(each for each in ColorBy if with_pressure or each != ColorBy.PRESSURE):
+                self.color_by.addItem(choice.value.capitalize(), choice)
+                self.color_by.setItemData(number, _COLOR_TIPS[choice], Qt.ItemDataRole.ToolTipRole)
+            self.color_by.setCurrentIndex(max(0, self.color_by.findData(self._colors)))
+        self.color_by.setToolTip(_COLORS_TIP if with_pressure else _NO_PRESSURE)
 
     def visible_clouds(self) -> frozenset[CloudName]:
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
@@ -180,6 +195,12 @@ class ViewArea(QWidget):
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
         legends = dict(self._legends)
         self.set_wipe(wipe)
+        sides = (result,) if result.compared is None else (result.compared.a, result.compared.b)
+        with_pressure = any(side.patch is not None and side.patch.pressure is not None for side in sides)
+        if with_pressure != (self.color_by.findData(ColorBy.PRESSURE) >= 0):
+            self._offer_colors(with_pressure)
+        arrow = None if result.compared is not None or result.patch is None else force_arrow(result.patch)
+        self.views[CloudName.PATCH].set_arrow(arrow)
         for view in self.views.values():
             view.set_running(result.playback.playing)
         if result.compared is not None:
@@ -226,7 +247,7 @@ class ViewArea(QWidget):
     def _legend_of(self, name: CloudName, rendered: Rendered, theme: ThemeName) -> Legend:
         near, far = rendered.tactile_range_m if name is CloudName.TACTILE else rendered.depth_range_m
         range_m = round(near, 3), round(far, 3)
-        return legend_of(name, rendered.color_by, theme, range_m, rendered.verdicts)
+        return legend_of(name, rendered.color_by, theme, range_m, rendered.verdicts, rendered.pressure_scale)
 
     def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
         view = self.views[name]
@@ -262,9 +283,8 @@ class ViewArea(QWidget):
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
     def restore(self, point_size: float, color_by: str) -> None:
-        with QSignalBlocker(self.color_by):
-            if color_by in list(ColorBy):
-                self.choose_colors(ColorBy(color_by))
+        if color_by in list(ColorBy):
+            self.choose_colors(ColorBy(color_by))
         if math.isfinite(point_size):
             self.point_size.setValue(round(point_size))
 
@@ -276,8 +296,11 @@ def legend_of(
     theme: ThemeName,
     range_m: tuple[float, float],
     verdicts: frozenset[Provenance],
+    pressure_scale: tuple[float, float],
 ) -> Legend:
     near, far = range_m
+    if color_by is ColorBy.PRESSURE and name is not CloudName.PROXIMITY:
+        return pressure_legend(theme, *pressure_scale) + (patch_legend(theme)[1:] if name is CloudName.PATCH else [])
     if name is CloudName.TACTILE:
         return depth_legend(near, far)
     if color_by is ColorBy.PROVENANCE and verdicts:
@@ -299,6 +322,8 @@ def _shown(name: CloudName, result: Result | ComparedSide) -> tuple[DepthCloud |
     return cloud, result.problem or result.rendered.no_contact
 
 
+#: A force has an arrow from this many of its standard deviations on.
+_SURE_SIGMAS = 2.0
 #: Rows of the tactile image that are enough for framing.
 _ROWS = 60
 #: Depths farther than this many interquartile ranges outside the quartiles are not the membrane (Tukey's fences,
@@ -315,6 +340,21 @@ def membrane_and_patch(result: Result) -> Float64Array:
     low, high = np.percentile(membrane[:, 2], (25, 75))
     reach = (0.5 + _FENCE) * (high - low) + _SLACK_M
     return np.concatenate([membrane[np.abs(membrane[:, 2] - (low + high) / 2) <= reach], patch])
+
+
+def force_arrow(patch: ContactPatch) -> tuple[Place, Place] | None:
+    """Return where the arrow of the force begins, at the centroid, and ends; None unless the force exceeds its noise.
+
+    It is as long as the radius of the disc on which the inflation presses with that force.
+    """
+    if patch.pressure is None or patch.centroid_m is None:
+        return None
+    size, sigma = patch.pressure.strength
+    force = np.array(patch.pressure.force_mm2)
+    if not size > _SURE_SIGMAS * sigma:
+        return None
+    along = force / math.sqrt(math.pi * float(np.linalg.norm(force))) * 1e-3
+    return patch.centroid_m, as_place(patch.centroid_m + along)
 
 
 def patch_points(patch: ContactPatch | None) -> Float64Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -18,7 +19,7 @@ from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
-from ...core.model.patch import SURE, Provenance
+from ...core.model.patch import SURE, PressureFacts, Provenance
 from ...core.preset import Preset
 from ...core.tuning.advice.findings import depth_missing
 from ...widgets.basics.colormaps import (
@@ -27,6 +28,8 @@ from ...widgets.basics.colormaps import (
     depth_lut_faint_behind,
     patch_index,
     patch_lut,
+    pressure_index,
+    pressure_lut,
     provenance_lut,
 )
 from ...widgets.basics.theme import ThemeName
@@ -55,7 +58,12 @@ def draw_strip(
     counts = np.ascontiguousarray(frame.proximity_depth[every])
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
-    color = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
+    color = compared = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
+    as_masked = frame
+    if patch is not None and patch.mask_colors is not None and preset.mask.enabled:
+        as_masked = replace(frame, proximity_color=patch.mask_colors.get())
+        if as_masked.proximity_color is not frame.proximity_color:
+            compared = aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
     if patch is None:
         measured_m = np.full(counts.shape, np.nan, np.float32)
         expected_m = np.where(valid, depth_m, measured_m)
@@ -67,7 +75,7 @@ def draw_strip(
         )
     sampled = StripImages(
         color=color,
-        mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled and shows_mask else None,
+        mask_overlay=in_hsv_range(compared, preset.mask) if preset.mask.enabled and shows_mask else None,
         proximity_m=expected_m,
         tactile_m=measured_m,
         relative=np.asarray((expected_m - measured_m) / expected_m, np.float32),
@@ -77,7 +85,7 @@ def draw_strip(
         size=(width, height),
         stride=stride,
     )
-    share = masked_share(frame.proximity_color, preset.mask) if preset.mask.enabled else None
+    share = masked_share(as_masked.proximity_color, preset.mask) if preset.mask.enabled else None
     return replace(render_strip(sampled, images), masked_share=share)
 
 
@@ -157,6 +165,8 @@ class Scene:
     theme: ThemeName
     depth_range_m: tuple[float, float]
     tactile_range_m: tuple[float, float] | None = None
+    pressure: PressureFacts | None = None  # if it is what the colours mean
+    pressure_top: float = 1.0  # share of the inflation that has the last colour
 
     @property
     def accepted(self) -> float:
@@ -170,7 +180,7 @@ class Renderer:
     def __init__(self) -> None:
         self._rig: Rig | None = None
         self._ranges_m: dict[str, tuple[float, float]] = {}
-        self._median_m = float("nan")
+        self._median_m, self._pressure_top = float("nan"), 1.0
         self._last_clouds: dict[CloudName, DepthCloud | None] = {}
         self._counts: dict[CloudName, int] = {}
         self._no_contact = "", ""
@@ -183,7 +193,16 @@ class Renderer:
             self.measure(frame, preset, rig)
         depth_range_m, tactile_range_m = (self._ranges_m.get(role, (0.0, 1.0)) for role in ("proximity", "tactile"))
         theme: ThemeName = "dark" if wanted.dark else "light"
-        scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m, tactile_range_m)
+        color_by, pressure = wanted.color_by, patch.pressure if patch is not None else None
+        if color_by is not ColorBy.PRESSURE:
+            pressure = None
+        elif pressure is None:
+            color_by = ColorBy.CONTACT
+        elif wanted.words:
+            self._pressure_top = max(self._pressure_top, _pressure_top(pressure))
+        scene = Scene(
+            frame, patch, preset, rig, color_by, theme, depth_range_m, tactile_range_m, pressure, self._pressure_top
+        )
         clouds = {
             name: self._shared(name, self._with_count(name, _VIEWS[name](scene), wanted.words))
             for name in CloudName
@@ -209,14 +228,15 @@ class Renderer:
         no_contact, no_contact_action = self._no_contact
         return Rendered(
             clouds=clouds,
-            color_by=wanted.color_by,
+            color_by=color_by,
             strip=strip,
             histogram=histogram_of(patch, preset, wanted.histograms) if patch else None,
             median_distance_m=self._median_m,
             depth_range_m=depth_range_m,
             tactile_range_m=tactile_range_m,
+            pressure_scale=(self._pressure_top, pressure.inflation_pa if pressure is not None else 0.0),
             verdicts=frozenset(map(Provenance, np.flatnonzero(np.bincount(patch.provenance.ravel())).tolist()))
-            if patch and wanted.color_by is ColorBy.PROVENANCE
+            if patch and color_by is ColorBy.PROVENANCE
             else frozenset(),
             accepted=scene.accepted,
             no_contact=no_contact,
@@ -243,7 +263,7 @@ class Renderer:
     def measure(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
         """Take a frame's depths into the ranges of the colours, and keep the membrane's median distance."""
         if rig is not self._rig:
-            self._rig, self._ranges_m = rig, {}
+            self._rig, self._ranges_m, self._pressure_top = rig, {}, 1.0
         sample_m = membrane_sample_m(frame, preset, rig)
         self._median_m = float("nan")
         if not len(sample_m):
@@ -263,6 +283,13 @@ def _quantiles(sample: Float32Array, *shares: float) -> tuple[float, ...]:
     places = [round(share * (len(sample) - 1)) for share in shares]
     ordered = np.partition(sample, places)
     return tuple(float(ordered[place]) for place in places)
+
+
+def _pressure_top(pressure: PressureFacts) -> float:
+    """Return the share of the inflation that nearly all of the patch stays below, in steps of a half."""
+    known = pressure.at_points.get()
+    known = known[np.isfinite(known)]
+    return math.ceil(2 * _quantiles(known, _ENDS[1])[0]) / 2 if len(known) else 0.0
 
 
 def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> tuple[str, str]:
@@ -315,11 +342,12 @@ def tactile_view(scene: Scene) -> DepthCloud | None:
         depth=scene.frame.tactile_depth,
         depth_unit_m=camera.depth_unit_m,
         rays=ray_table(camera.intrinsics),
-        lut=depth_lut(),
+        lut=depth_lut() if scene.pressure is None else pressure_lut(scene.theme),
         pose=pose.astype(np.float64),
         depth_scale=alignment.depth_scale,
         depth_offset_m=alignment.depth_offset_m,
         depth_range_m=scene.tactile_range_m or scene.depth_range_m,
+        index=None if scene.pressure is None else pressure_index(scene.pressure.on_membrane.get(), scene.pressure_top),
     )
 
 
@@ -328,11 +356,15 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     patch = scene.patch
     if patch is None:
         return None
-    if scene.color_by is ColorBy.CONTACT:
-        index, lut = _relief(scene, patch.mask & ~hatching(patch)), patch_lut(scene.theme)
-    else:
+    if scene.color_by is ColorBy.PROVENANCE:
         late = np.isin(patch.provenance, LATE_VERDICTS)
-        index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
+        index, lut = _over_relief(scene, patch.provenance, late), _relief_lut(scene.theme, provenance_lut)
+    elif scene.pressure is not None:
+        rows = np.zeros(patch.mask.shape, np.uint8)
+        rows[patch.mask] = pressure_index(scene.pressure.at_points.get(), scene.pressure_top)
+        index, lut = _over_relief(scene, rows, patch.mask & ~hatching(patch)), _relief_lut(scene.theme, pressure_lut)
+    else:
+        index, lut = _relief(scene, patch.mask & ~hatching(patch)), patch_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 
@@ -414,8 +446,8 @@ def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Arra
 
 
 @cache
-def patch_provenance_lut(theme: ThemeName) -> Uint8Array:
-    """Return every other row of the context's shades, then the colours of `LATE_VERDICTS`: uint8 (256, 4)."""
-    mixed = np.concatenate([patch_lut(theme)[::2], provenance_lut(theme)[:VALUE_ROWS]])
+def _relief_lut(theme: ThemeName, lut_of: Callable[[ThemeName], Uint8Array]) -> Uint8Array:
+    """Return the table of `_over_relief`: every other shade of the context, then values by another table."""
+    mixed = np.concatenate([patch_lut(theme)[::2], lut_of(theme)[:VALUE_ROWS]])
     mixed.flags.writeable = False
     return mixed

@@ -69,6 +69,7 @@ class ColorBy(StrEnum):
 
     CONTACT = "contact"
     PROVENANCE = "provenance"
+    PRESSURE = "pressure"  # where the contact test tells it, else as CONTACT
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,8 @@ class Rendered:
     """The images of one frame; those that are not visible are missing.
 
     ``color_by`` is what the clouds' colours mean. ``depth_range_m`` are the ends of the depth colours along the
-    proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``verdicts`` are the
+    proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``pressure_scale`` is the share
+    of the inflation at the end of the pressure colours, and the inflation in Pa, 0 if unknown. ``verdicts`` are the
     `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative difference up to which
     the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty or what it waits for,
     ``no_contact_action`` names the window's action that may help.
@@ -124,6 +126,7 @@ class Rendered:
     median_distance_m: float = float("nan")
     depth_range_m: tuple[float, float] = (0.0, 1.0)
     tactile_range_m: tuple[float, float] = (0.0, 1.0)
+    pressure_scale: tuple[float, float] = (1.0, 0.0)
     verdicts: frozenset[Provenance] = frozenset()
     accepted: float = 0.0
     no_contact: str = ""

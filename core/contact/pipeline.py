@@ -153,6 +153,7 @@ class ContactPipeline:
             averaged_frames=self._average.count if self._average is not None else 1,
             membrane=found.membrane,
             pressure=found.pressure,
+            mask_colors=Lazy(lambda: test.pixels.mask_colors(frame)),
             doubt_of=doubt_of,
         )
         return memory.patch

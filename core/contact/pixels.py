@@ -109,10 +109,12 @@ class Pixels:
         limits = self.limits._replace(tolerance=np.float32(tolerance))
         return kernels.PixelTest(self.alignment.tables, self.region, limits, self._rays)
 
+    def mask_colors(self, frame: SensorFrame) -> Uint8Array:
+        """Return a frame's proximity colours as the mask compares them: in the light of the untouched frame."""
+        return frame.proximity_color if self.light is None else self.light.as_before(frame.proximity_color)
+
     def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
-        """Return the colour mask of a frame, for kernels: its colours are those in the untouched frame's light."""
-        image = frame.proximity_color if self.light is None else self.light.as_before(frame.proximity_color)
-        return kernels.ColorTest(self._lookup, kernels.flat(image, 3 * LANES), self._hsv)
+        return kernels.ColorTest(self._lookup, kernels.flat(self.mask_colors(frame), 3 * LANES), self._hsv)
 
     def tactile_pixels(self, pixels: IndexArray, frame: SensorFrame) -> IndexArray:
         """Return the flat tactile pixel of each flat proximity pixel that has depth."""

@@ -177,8 +177,11 @@ class MembraneFacts:
 class PressureFacts:
     """What the pressure test measured in a frame besides contact."""
 
-    #: (H, W): Contact pressure as a share of the inflation, averaged over the window; nan where it is unknown.
+    #: Contact pressure as a share of the inflation, averaged over the window; nan where it is unknown: on the
+    #: proximity pixels (H, W), on the tactile pixels, and at the points of the patch (N,).
     relative: Lazy[Float32Array]
+    on_membrane: Lazy[Float32Array]
+    at_points: Lazy[Float32Array]
     relative_sigma: float  # Its standard deviation; nan where nothing is seen
     #: Force of the object on the membrane over the inflation, mm^2, in the proximity depth frame, with the standard
     #: deviations; 0 without contact, nan if the free membrane around the contact is not seen.
@@ -205,6 +208,14 @@ class PressureFacts:
         both = zip(self.force_mm2, self.force_sigma_mm2, strict=True)
         x, y, z = (math.hypot(sigma, share * force) for force, sigma in both)
         return self._newtons((x, y, z))
+
+    @property
+    def strength(self) -> tuple[float, float]:
+        """Magnitude of the force and its standard deviation: newtons, or mm^2 where the inflation is not known."""
+        force, sigma = self.force_n or self.force_mm2, self.force_sigma_n or self.force_sigma_mm2
+        size = math.hypot(*force)
+        along = (each * spread for each, spread in zip(force, sigma, strict=True))
+        return size, math.hypot(*along) / size if size else math.hypot(*sigma)
 
     def _newtons(self, area_mm2: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (1e-6 * self.inflation_pa * each for each in area_mm2)
@@ -257,6 +268,8 @@ class ContactPatch:
     doubt_of : DoubtOf
     pressure : PressureFacts or None
         None for another contact test.
+    mask_colors : Lazy of uint8, shape (H, W, 3), or None
+        The colours that the mask was compared with, where prints are found again in other light than before.
     """
 
     def __init__(
@@ -273,6 +286,7 @@ class ContactPatch:
         membrane: MembraneFacts | None = None,
         doubt_of: DoubtOf = lambda contact: _NO_DOUBT,
         pressure: PressureFacts | None = None,
+        mask_colors: Lazy[Uint8Array] | None = None,
     ) -> None:
         self.sequence = sequence
         self._points = points
@@ -282,6 +296,7 @@ class ContactPatch:
         self.averaged_frames = averaged_frames
         self.membrane = membrane
         self.pressure = pressure
+        self.mask_colors = mask_colors
         self._provenance = provenance
         self._aligned = aligned
         self._mask = mask
@@ -293,7 +308,7 @@ class ContactPatch:
         """Return the same patch as the result of another call, with the doubt under the present preset."""
         return ContactPatch(
             sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
-            self.averaged_frames, self.membrane, doubt_of, self.pressure,
+            self.averaged_frames, self.membrane, doubt_of, self.pressure, self.mask_colors,
         )  # fmt: skip
 
     @property

@@ -36,6 +36,7 @@ UNDEFINED_ROW: Final = 0
 CONTACT_ROW: Final = 255
 
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
+_PRESSURE_MAP, _PRESSURE_PART, _PRESSURE_ROWS = "magma", (0.22, 0.97), 127
 #: Blue, white, ochre: made for colour-blind people (P. Kovesi, CET perceptually uniform colour maps).
 _DIFFERENCE_MAP = "CET-CBD1"
 #: Colour map outside the tolerance band; the pale centre of the map would vanish on a light background.
@@ -103,6 +104,31 @@ def ends_legend(low: str, high: str, lut: Uint8Array) -> Legend:
 def depth_legend(near_m: float, far_m: float) -> Legend:
     span_mm = 1e3 * (far_m - near_m)
     return [(f"{1e3 * near_m + share * span_mm:.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)]
+
+
+@cache
+def pressure_lut(theme: ThemeName) -> Uint8Array:
+    """Return the colours of contact pressure: uint8 (256, 4), row 0 where it is not known, 1 for none, then more."""
+    lut = np.zeros((256, 4), np.uint8)
+    lut[1 : _PRESSURE_ROWS + 1] = _sample(_PRESSURE_MAP, np.linspace(*_PRESSURE_PART, _PRESSURE_ROWS))
+    lut[UNDEFINED_ROW] = (*_CONTEXT_RGB[Provenance.OUTSIDE_RANGE][theme], 255)
+    return _frozen(lut)
+
+
+def pressure_index(relative: Float32Array, top: float) -> Uint8Array:
+    """Return rows of `pressure_lut` for shares of the inflation, float32, of which ``top`` has the last."""
+    last = np.float32(_PRESSURE_ROWS - 1)
+    rows = np.clip(relative * (last / np.float32(top)), np.float32(0.0), last) + np.float32(1.5)
+    return np.asarray(np.nan_to_num(rows, nan=UNDEFINED_ROW, copy=False), np.uint8)
+
+
+def pressure_legend(theme: ThemeName, top: float, inflation_pa: float) -> Legend:
+    """Return the legend of pressures up to a share of the inflation: in kPa, or relative to one that is not known."""
+    lut, unit = pressure_lut(theme), "kPa" if inflation_pa > 0 else "× inflation"
+    highest = top * (1e-3 * inflation_pa or 1.0)
+    names = "0", f"{highest / 2:.3g}", f"{highest:.3g} {unit}", "not known"
+    rows = 1, (1 + _PRESSURE_ROWS) / 2, _PRESSURE_ROWS, UNDEFINED_ROW
+    return [(name, _color(lut, row)) for name, row in zip(names, rows, strict=True)]
 
 
 def difference_index(relative_difference: Float32Array, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:

@@ -11,6 +11,7 @@ less than 65,000 times the nearest, and still tell a millionth of a distance apa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, types
 from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPalette, QPen, QResizeEvent
+from PyQt6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPalette, QPen, QPolygonF, QResizeEvent
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float32Array, Uint8Array
@@ -287,6 +288,7 @@ class CloudCanvas(QWidget):
         self.point_size = 2.0  # device-independent pixels
         self.running = False  # frames follow each other
         self.mark: Place | None = None
+        self.arrow: tuple[Place, Place] | None = None  # from and to
         self.readings: Sequence[Reading] = ()
         self._renderers = SoftwareRenderer(), SoftwareRenderer()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
@@ -315,6 +317,8 @@ class CloudCanvas(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
         painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
+        if self.arrow is not None:
+            self._paint_arrow(painter, *self.arrow)
         if self.mark is not None:
             self._paint_mark(painter, self.mark)
         if self.wipe is not None:
@@ -322,6 +326,19 @@ class CloudCanvas(QWidget):
         elif self.readings:
             paint_readings(painter, self.rect(), self.readings)
         painter.end()
+
+    def _paint_arrow(self, painter: QPainter, start: Place, end: Place) -> None:
+        seen = self.camera.project([start, end], max(1, self.width()), max(1, self.height()))
+        if (seen[:, 2] <= 0).any():
+            return
+        tail, tip = (QPointF(u, v) for u, v in seen[:, :2])
+        back = tail - tip
+        back *= _ARROW_HEAD / max(math.hypot(back.x(), back.y()), _ARROW_HEAD)
+        across = QPointF(-back.y(), back.x()) * 0.5
+        for role, width in ((QPalette.ColorRole.Base, 6.0), (QPalette.ColorRole.Text, 3.0)):
+            painter.setPen(QPen(self.palette().color(role), width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+            painter.drawLine(tail, tip)
+            painter.drawPolyline(QPolygonF([tip + back + across, tip, tip + back - across]))
 
     def _paint_mark(self, painter: QPainter, mark: Place) -> None:
         u, v, away = self.camera.project([mark], max(1, self.width()), max(1, self.height()))[0]
@@ -331,7 +348,7 @@ class CloudCanvas(QWidget):
                 painter.drawEllipse(QPointF(u, v), _MARK_RADIUS, _MARK_RADIUS)
 
 
-_MARK_RADIUS = 6.0
+_MARK_RADIUS, _ARROW_HEAD = 6.0, 12.0
 _AXIS_COLORS = {
     "light": (QColor(200, 40, 40), QColor(25, 135, 60), QColor(40, 90, 210)),
     "dark": (QColor(255, 115, 110), QColor(100, 210, 130), QColor(125, 165, 255)),

@@ -188,6 +188,15 @@ class CloudView(QWidget):
     def mark(self) -> Place | None:
         return self._canvas.mark
 
+    def set_arrow(self, arrow: tuple[Place, Place] | None) -> None:
+        """Draw an arrow from one place to another of the view's frame, metres, or none."""
+        if arrow != self._canvas.arrow:
+            self._canvas.arrow = arrow
+            self._canvas.update()
+
+    def arrow(self) -> tuple[Place, Place] | None:
+        return self._canvas.arrow
+
     def set_readings(self, readings: Sequence[Reading]) -> None:
         """Show numbers in large type over the upper left corner."""
         if readings != self._canvas.readings:

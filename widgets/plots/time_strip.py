@@ -24,19 +24,40 @@ from .plot import Plot
 
 @dataclass(frozen=True)
 class Curve:
-    """One value over time: its key in the series, title, unit and tooltip."""
+    """One value over time: its key in the series, title, unit, tooltip, and why no frame has one."""
 
     key: str
     title: str
     unit: str
     tip: str
+    missing: str = ""
 
 
 CURVES: Final = (
     Curve("area_mm2", "Area", "mm²", "Area of the patch in mm², projected along the optical axis"),
     Curve("points", "Points", "points", "Number of points of the patch"),
     Curve("ms", "Time", "ms", "Time of the contact test in milliseconds, computed in the background on one core"),
-    Curve("iou", "IoU", "", "Overlap of patch and true contact, 0 to 1; only for sources that know the truth"),
+    Curve(
+        "force_n",
+        "Force",
+        "N",
+        "Magnitude of the force in newtons, by the contact test pressure with a known inflation",
+        "Force in newtons needs the contact test pressure, its untouched frame and a known inflation",
+    ),
+    Curve(
+        "force_mm2",
+        "Force over inflation",
+        "mm²",
+        "Magnitude of the force over the inflation in mm², by the contact test pressure",
+        "Force needs the contact test pressure and its untouched frame",
+    ),
+    Curve(
+        "iou",
+        "IoU",
+        "",
+        "Overlap of patch and true contact, 0 to 1; only for sources that know the truth",
+        "No true contact: nothing touches, or this source does not know it",
+    ),
 )
 #: Time that a live source shows, seconds.
 LIVE_S: Final = 60.0
@@ -50,7 +71,6 @@ _STEPS: Final[dict[int, int]] = {
     Qt.Key.Key_Home: -(10**9),
     Qt.Key.Key_End: 10**9,
 }
-_NO_TRUTH = "No true contact: nothing touches, or this source does not know it"
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
 
@@ -309,9 +329,9 @@ class TimeStrip(QWidget):
         self._write(f"{place}: {known}")
 
     def show_words(self) -> None:
-        overlap = self._values.get("iou") if self.curve.key == "iou" else None
-        empty = overlap is not None and bool(self._computed.any()) and not np.isfinite(overlap).any()
-        self._write(self._words or (_NO_TRUTH if empty else ""))
+        values = self._values.get(self.curve.key)
+        empty = values is not None and bool(self._computed.any()) and not np.isfinite(values).any()
+        self._write(self._words or (self.curve.missing if empty else ""))
 
     def _write(self, text: str) -> None:
         room = int(max(100, self._box.width() - 16))

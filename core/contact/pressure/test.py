@@ -13,13 +13,12 @@ Assumed: the same tension in all directions, no bending stiffness, no friction.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from ...errors import RigMismatchError
-from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
+from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
 from ...model.clouds import valid_depth
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
@@ -104,7 +103,7 @@ class PressureTest(ContactTest):
                 self._contact = without_small_clusters(self._pressed, camera, preset.pressure.min_area_mm2)
         if due("force"):
             touching = self._touching if len(self._contact) else np.zeros_like(self._touching)
-            self._facts = now.facts(touching, preset, lambda image: self._image(image, frame))
+            self._facts = now.facts(touching, preset, self._images(now.relative, self._contact, frame))
         groups = self._touching, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
@@ -114,15 +113,23 @@ class PressureTest(ContactTest):
         smooth = _enlarged(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape)
         return np.asarray(smooth.reshape(-1)[self.pixels.tactile_pixels(seen.pixels, frame)] > 0.5)
 
-    def _image(self, cells: Float64Array, frame: SensorFrame) -> Float32Array:
-        """Return values of cells on the proximity pixels; nan where they are unknown or no membrane is seen."""
-        rig, image = self.pixels.rig, _enlarged(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape)
-        if not rig.has_proximity:
-            return image
-        known = np.flatnonzero(valid_depth(frame.proximity_depth))
-        found = np.full(rig.proximity.intrinsics.shape, np.nan, np.float32)
-        found.reshape(-1)[known] = image.reshape(-1)[self.pixels.tactile_pixels(known, frame)]
-        return found
+    def _images(self, cells: Float64Array, contact: Candidates, frame: SensorFrame) -> dict[str, Lazy[Float32Array]]:
+        """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
+        rig = self.pixels.rig
+        on_membrane = Lazy(lambda: _enlarged(cells.astype(np.float32), rig.tactile.intrinsics.shape))
+
+        def at(pixels: IndexArray) -> Float32Array:
+            return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
+
+        def image() -> Float32Array:
+            if not rig.has_proximity:
+                return on_membrane.get()
+            known = np.flatnonzero(valid_depth(frame.proximity_depth))
+            found = np.full(rig.proximity.intrinsics.shape, np.nan, np.float32)
+            found.reshape(-1)[known] = at(known)
+            return found
+
+        return {"relative": Lazy(image), "on_membrane": on_membrane, "at_points": Lazy(lambda: at(contact.pixels))}
 
     def _provenance(
         self, frame: SensorFrame, cells: BoolArray, seen: Candidates, pressed: Candidates, contact: Candidates
@@ -230,15 +237,13 @@ class _Now:
             pressed[own] = self.relative[own] >= section.share * np.quantile(self.relative[own], _QUANTILE)
         return np.asarray(pressed, np.bool_)
 
-    def facts(
-        self, touching: BoolArray, preset: Preset, to_image: Callable[[Float64Array], Float32Array]
-    ) -> PressureFacts:
+    def facts(self, touching: BoolArray, preset: Preset, images: dict[str, Lazy[Float32Array]]) -> PressureFacts:
         """Return map and force, that of all contacts together, in the proximity depth frame."""
         import cv2
 
         from . import surface
 
-        rest, section, relative = self._rest, preset.pressure, self.relative
+        rest, section = self._rest, preset.pressure
         force, sigma, at_rim = np.zeros(3), np.zeros(3), False
         if touching.any():
             slopes = surface.fit(self._depth_m, self._share, _SLOPE_WINDOW, curved=False).fit[0]
@@ -264,7 +269,7 @@ class _Now:
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
         usual = self._sigma[np.isfinite(self._sigma)]
         return PressureFacts(
-            relative=Lazy(lambda: to_image(relative)),
+            **images,
             relative_sigma=float(np.median(usual)) / self.grown if len(usual) and self.grown > 0 else math.nan,
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
