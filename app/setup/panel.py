@@ -61,7 +61,7 @@ def _unbiased(preset: Preset) -> str:
 
 
 def _suggested(preset: Preset) -> str:
-    return "" if preset.suggested is None else f"Suggestions taken over on {_day(preset.suggested)}."
+    return "" if preset.suggested is None else f"Suggestions taken over, {_day(preset.suggested)}."
 
 
 def _judged(preset: Preset) -> str:
@@ -70,7 +70,7 @@ def _judged(preset: Preset) -> str:
         return ""
     links = sorted(verdict.links_mm.items(), key=lambda link: -link[1])
     shares = ", ".join(f"{link} {error_mm:.1f}" for link, error_mm in links)
-    return f"Boundary off by {verdict.error_mm:.1f} mm ({shares}), {_day(verdict.judged)}."
+    return f"Off by {verdict.error_mm:.1f} mm: {shares}. {_day(verdict.judged)}."
 
 
 def _day(moment: datetime) -> str:
@@ -130,6 +130,7 @@ class StepRow(QFrame):
         """Show the state; ``following`` is the one next step."""
         known, failed = self.known(preset), self.failure
         busy = self.work is not None and self.work.busy
+        self.setToolTip("" if self.work is None else self.work.sentence.text())  # what was found, in whole sentences
         skipped = "Skipped." if self.skipped and not known else ""
         self._stack.setCurrentIndex(int(busy))
         self.mark.setText("–" if left_out or skipped else "…" if busy else "!" if failed else "✓" if known else "○")

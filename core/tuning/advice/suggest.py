@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -93,6 +94,11 @@ def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
         progress(0.6, "Measuring the bias in contact")
         found.append(pressed_bias(map(firm_contact_bias(preset, rig), evidence.frames), density_m4))
     best = min((bias for bias in found if bias is not None), key=lambda bias: bias.sigma_m, default=None)
+    if found[0] is None and (noise := preset.noise) is not None and noise.bias_from != "unknown":
+        # a few frames tell less than what was measured with the rig, unless they contradict it
+        known = MeasuredBias(noise.bias_m, noise.bias_sigma_m, noise.bias_from, noise.bias_per_m)
+        if best is None or abs(best.bias_m - known.bias_m) <= _CERTAIN * math.hypot(best.sigma_m, known.sigma_m):
+            best = known
     if best is None:
         raise AdviceError(
             "alignment: a bias between the cameras can't be told from a gap here; set the mask to the colour of prints "

@@ -4,7 +4,7 @@ import pytest
 
 from tactune.core.errors import AdviceError
 from tactune.core.model.alignment import CalibrationRecord, ModelSummary
-from tactune.core.preset import now
+from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.presets import load_preset
 
 SHIPPED = load_preset("simulator")
@@ -50,3 +50,24 @@ def test_a_calibrated_offset_is_corrected_not_reset(evidence, suggest):
     preset = SHIPPED.model_copy(update={"alignment": alignment})
     proposal = suggest("alignment", evidence(preset, "sim:cup?press=medium&sensor=far-offset"))
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.020, abs=0.003)
+
+
+@pytest.mark.parametrize(("measured_m", "changes"), [(0.0003, False), (0.0150, True)])
+def test_the_bias_of_the_rig_counts_more_than_a_few_frames_unless_these_contradict_it(
+    evidence, suggest, measured_m, changes
+):
+    camera = CameraNoise(white_m=2e-4, correlated_m=1e-3, length_px=4, changing_share=0.5, distance_m=0.28)
+    known = RigNoise(
+        proximity=camera,
+        tactile=camera,
+        bias_m=measured_m,
+        bias_sigma_m=0.0003,
+        bias_from="contact",
+        measured=now(),
+        frames=60,
+    )
+    shown = evidence(TOLERANCE.model_copy(update={"noise": known}))
+    alone = suggest("alignment", evidence(TOLERANCE))
+    proposal = suggest("alignment", shown)
+    assert ("+0.3 mm" in proposal.evidence) != changes
+    assert not changes or proposal.evidence == alone.evidence
