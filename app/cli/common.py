@@ -244,10 +244,11 @@ def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[Fram
 @contextmanager
 def open_pipeline(name: str, preset: Preset, origin: str) -> Iterator[tuple[FrameSource, ContactPipeline]]:
     """Open a source for a preset of this origin, and compile what the first frame would wait for."""
-    from ...core.contact.pipeline import ContactPipeline
-    from ...core.warmup import warm_up_if_needed
-
     with open_with_progress(name, preset) as source:
+        # after a wrong source was told: the compiler takes half of the time in which it is
+        from ...core.contact.pipeline import ContactPipeline
+        from ...core.warmup import warm_up_if_needed
+
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
             untouched = untouched_for(preset, origin, source)

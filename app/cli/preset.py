@@ -76,7 +76,7 @@ def new(
         copy_untouched(preset.untouched, Path(start), out)
     save_preset(preset, out, exclusive=True)
     say(f"wrote {out}")
-    if base.rig is not None and base.rig != made_for:
+    if base.rig is not None and base.rig != made_for and made_for.has_proximity:
         warn(f"cameras and alignment are those of {start}, made for another rig; calibrate again")
     tell_notes(preset)
 

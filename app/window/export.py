@@ -54,7 +54,8 @@ class Export(QObject):
         result = self._context.result
         if result is None:
             return
-        calibrations = [title for title, _ in _CALIBRATIONS.values()]
+        two = result.source.rig.has_proximity  # else there is no transform to publish
+        calibrations = [title for title, kind in _CALIBRATIONS.values() if two or kind != "ros"]
         recording = [] if result.source.length is None else _RECORDING + _ANIMATION
         filters = [*([] if result.patch is None else _PATCH), *recording, *calibrations]
         suggestion = f"frame_{result.frame_number:06d}"
