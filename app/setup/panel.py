@@ -12,6 +12,7 @@ from PyQt6.QtGui import QAction, QPalette
 from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QScrollArea, QStackedLayout, QWidget
 
 from ...core.errors import counted
+from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
 from ...core.sources.base import part_of
@@ -40,7 +41,9 @@ def _measured(preset: Preset) -> str:
     noise = preset.noise
     if noise is None:
         return ""
-    sides = (("tactile", noise.tactile), ("proximity", noise.proximity))
+    sides = [("tactile", noise.tactile), ("proximity", noise.proximity)]
+    if noise.proximity == noise.tactile:  # a rig with one camera
+        sides.pop()
     return f"Noise {', '.join(f'{1e3 * side.total_m:.1f} mm {name}' for name, side in sides)}."
 
 
@@ -155,7 +158,8 @@ class SetUpPanel(QWidget):
         self._search.done.connect(self._found_rest)
         self._search.failed.connect(self._search_failed)
         document = context.document
-        bias = self._bias = BiasStep(context)
+        #: The frames of the newest press.
+        self.press: list[SensorFrame] = []
         self.source = StepRow(
             "Source",
             "Nothing is open.",
@@ -178,12 +182,18 @@ class SetUpPanel(QWidget):
             two_cameras=True,
             more=[text_button(actions["calibrate"])],
         )
-        self.bias = StepRow("Bias", "One firm press, 1,000 mm² or more, held.", bias, _unbiased, two_cameras=True)
+        self.bias = StepRow(
+            "Bias",
+            "One firm press, 1,000 mm² or more, held.",
+            BiasStep(context, self.press),
+            _unbiased,
+            two_cameras=True,
+        )
         self.suggestions = StepRow(
-            "Mask, test and limits", "Suggested from the press.", SuggestStep(context, bias), _suggested
+            "Mask, test and limits", "Suggested from the press.", SuggestStep(context, self.press), _suggested
         )
         self.verdict = StepRow(
-            "Verdict", "How far the boundary of a patch is off.", VerdictStep(context, bias), _judged
+            "Verdict", "How far the boundary of a patch is off.", VerdictStep(context, self.press), _judged
         )
         self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)
         self.start = push_button("Set up this rig", "Run all open steps in their order; stops where you must act")
@@ -232,8 +242,7 @@ class SetUpPanel(QWidget):
         self._chosen, following = None, self._next()
         if following is None:
             self._again = {row for row in self.rows if row.work is not None}
-        elif following is not self.source and not self._bias.pressed:
-            self._again.add(self.bias)  # a bias from prints is known without the press that the next steps judge
+            self.press.clear()
         self._running = True
         self._advance()
 
@@ -340,7 +349,7 @@ class SetUpPanel(QWidget):
     def _opened(self, info: SourceInfo) -> None:
         """Begin again: what other cameras or another recording showed does not hold here."""
         self._info, self._again, self._chosen, self._place = info, set(), None, None
-        self._bias.pressed = ()
+        self.press.clear()
         self._search.cancel()
         for row in self.rows:
             row.skipped = False

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from PyQt6.QtWidgets import QPushButton
 
 from ...core.calibration.check import is_worse
 from ...core.calibration.report import CalibrationReport, grade
@@ -77,89 +79,71 @@ class AlignmentStep(Gather):
 
 
 class _Look(NamedTuple):
-    """A frame, the medians of its tactile image tiles, metres, and whether something presses firmly.
+    """The medians of a frame's tactile image tiles, metres, and whether something presses firmly.
 
     ``released`` is the opposite: the membrane is farther than in the untouched frame.
     """
 
-    frame: SensorFrame
     tiles_m: Float64Array
     pressed: bool
     released: bool
 
 
-class BiasStep(Gather):
-    """Waits until an object is pressed firmly and held, and measures the bias there."""
+class PressStep(Gather):
+    """Base of the steps that work on a press: waits until an object is pressed firmly and held.
+
+    ``press`` are the frames of the newest press, which the steps share. Without an untouched frame any frame will do.
+    """
 
     at_rest = False
     prompt, recorded = "Press an object firmly into the membrane and hold it", "Looking for a firm press"
 
-    def __init__(self, context: Context) -> None:
-        super().__init__(
-            context,
-            push_button("Measure &bias", "Press an object of 1,000 mm² or more firmly into the membrane and hold it"),
-        )
+    def __init__(self, context: Context, press: list[SensorFrame], start: QPushButton) -> None:
+        super().__init__(context, start)
+        self._press = press
         self._untouched: SensorFrame | None = None
         self._free_m: Float64Array | None = None
-        #: Frames of the newest press, for the steps that follow.
-        self.pressed: tuple[SensorFrame, ...] = ()
+        self._newest: SensorFrame  # pressed or not
+        #: Only the newest frames of a press stay in memory, however long it takes.
+        self._pressed: deque[SensorFrame] = deque(maxlen=_HELD_FRAMES)
+
+    def at_hand(self) -> list[SensorFrame]:
+        return [*self._press]
 
     def prepare(self, info: SourceInfo) -> Work:
         preset, home = self._document.preset, self._document.untouched_home
+        return lambda progress: info.find_untouched(preset, home, progress).frame
 
-        def read(progress: Progress) -> SensorFrame:
-            untouched = info.find_untouched(preset, home, progress).frame if preset.untouched is not None else None
-            if untouched is None or preset.noise is None:
-                raise CalibrationError("the bias needs the untouched frame and the noise: measure these first")
-            return untouched
-
-        return read
-
-    def prepared(self, found: SensorFrame) -> None:
+    def prepared(self, found: SensorFrame | None) -> None:
         assert self.info is not None
-        self._untouched = found
-        self._free_m = tile_medians(found.tactile_depth) * self.info.rig.tactile.depth_unit_m
+        self._pressed.clear()
+        self._untouched, self._free_m = found, None
+        if found is not None:
+            self._free_m = tile_medians(found.tactile_depth) * self.info.rig.tactile.depth_unit_m
 
     def keep(self, frame: SensorFrame) -> _Look:
         assert self.info is not None
-        assert self._free_m is not None
         tiles_m = tile_medians(frame.tactile_depth) * self.info.rig.tactile.depth_unit_m
-        nearer_m = self._free_m - tiles_m
-        return _Look(frame, tiles_m, *(bool(np.mean(sign * nearer_m > _DENT_M) > _DENTED) for sign in (1, -1)))
+        pressed, released = True, False
+        if self._free_m is not None:
+            nearer_m = self._free_m - tiles_m
+            pressed, released = (bool(np.mean(sign * nearer_m > _DENT_M) > _DENTED) for sign in (1, -1))
+        self._newest = frame
+        if pressed:
+            self._pressed.append(frame)
+        return _Look(tiles_m, pressed, released)
 
     def share(self, kept: Sequence[_Look]) -> float:
-        return len(_held(kept)) / _HELD_FRAMES
+        return len(kept) / _RECENT if self._free_m is None else len(_held(kept)) / _HELD_FRAMES
 
-    def work(self, kept: list[_Look], info: SourceInfo) -> Work:
-        held, noise, preset, untouched = (
-            _held(kept),
-            self._document.preset.noise,
-            self._document.preset,
-            self._untouched,
-        )
-        pressed = tuple(look.frame for look in held or [look for look in kept if look.pressed])
-        assert noise is not None
-        released = not pressed and any(look.released for look in kept)
+    def work(self, kept: list[Any], info: SourceInfo) -> Work:
+        if not self.at_hand():
+            self._press[:] = [*self._pressed][-len(_held(kept)) :] or [self._newest]
+        return self.measure(tuple(self._press), info)
 
-        def measure(_: Progress) -> tuple[RigNoise, tuple[SensorFrame, ...]]:
-            if released:
-                raise CalibrationError(
-                    "the membrane is farther away than in the untouched frame, which was captured during a press; go "
-                    "to a frame where nothing touches it, and capture it again"
-                )
-            found = with_bias(noise, pressed, info.rig, preset, untouched)
-            if found.bias_from == "unknown" or not pressed:
-                raise CalibrationError("no firm press was seen; press an object of 1,000 mm² or more, and hold it")
-            return found, pressed
-
-        return measure
-
-    def show_found(self, found: tuple[RigNoise, tuple[SensorFrame, ...]]) -> None:
-        noise, self.pressed = found
-        self.sentence.setText(describe(noise)[-1])
-
-    def changes(self) -> dict[str, Any]:
-        return {"noise": self.found[0].model_dump()}
+    def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
+        """Return the work on the frames of a press."""
+        raise NotImplementedError
 
 
 def _held(looks: Sequence[_Look]) -> list[_Look]:
@@ -172,25 +156,77 @@ def _held(looks: Sequence[_Look]) -> list[_Look]:
     return held[::-1]
 
 
-class SuggestStep(Gather):
-    """Takes over the suggestions for mask, test and limits, as one undo step."""
+class BiasStep(PressStep):
+    """Measures the bias between the cameras where an object is pressed."""
 
-    at_rest = False
-    wanted = _RECENT
-
-    def __init__(self, context: Context, bias: BiasStep) -> None:
-        super().__init__(context, push_button("&Suggest", "Measure mask, contact test and limits, and take them over"))
-        self._bias = bias
+    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
+        tip = "Press an object of 1,000 mm² or more firmly into the membrane and hold it"
+        super().__init__(context, press, push_button("Measure &bias", tip))
 
     def at_hand(self) -> list[SensorFrame]:
-        return list(self._bias.pressed[-_RECENT:])
+        return []  # each measurement has a press of its own
 
-    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+    def prepare(self, info: SourceInfo) -> Work:
+        preset, read = self._document.preset, super().prepare(info)
+
+        def check(progress: Progress) -> SensorFrame:
+            untouched: SensorFrame | None = read(progress) if preset.untouched is not None else None
+            if untouched is None or preset.noise is None:
+                raise CalibrationError("the bias needs the untouched frame and the noise: measure these first")
+            return untouched
+
+        return check
+
+    def work(self, kept: list[_Look], info: SourceInfo) -> Work:
+        if any(look.pressed for look in kept):
+            return super().work(kept, info)
+        problem = "no firm press was seen; press an object of 1,000 mm² or more, and hold it"
+        if any(look.released for look in kept):
+            problem = (
+                "the membrane is farther away than in the untouched frame, which was captured during a press; go to a "
+                "frame where nothing touches it, and capture it again"
+            )
+
+        def fail(_: Progress) -> RigNoise:
+            raise CalibrationError(problem)
+
+        return fail
+
+    def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
+        preset, untouched = self._document.preset, self._untouched
+        noise = preset.noise
+        assert noise is not None
+
+        def measure(_: Progress) -> RigNoise:
+            found = with_bias(noise, pressed, info.rig, preset, untouched)
+            if found.bias_from == "unknown":
+                raise CalibrationError(
+                    "the press was not firm enough; press an object of 1,000 mm² or more, and hold it"
+                )
+            return found
+
+        return measure
+
+    def show_found(self, found: RigNoise) -> None:
+        self.sentence.setText(describe(found)[-1])
+
+    def changes(self) -> dict[str, Any]:
+        return {"noise": self.found.model_dump()}
+
+
+class SuggestStep(PressStep):
+    """Takes over the suggestions for mask, test and limits, as one undo step."""
+
+    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
+        tip = "Measure mask, contact test and limits, and take them over"
+        super().__init__(context, press, push_button("&Suggest", tip))
+
+    def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
         preset, home = self._document.preset, self._document.untouched_home
 
         def suggest(progress: Progress) -> AllProposals:
             untouched = info.find_untouched(preset, home, part_of(progress, 0, 2)).frame
-            evidence = Evidence(preset, info.rig, tuple(kept[-_RECENT:]), untouched)
+            evidence = Evidence(preset, info.rig, pressed[-_RECENT:], untouched)
             return suggest_all(evidence, part_of(progress, 1, 2))
 
         return suggest
@@ -203,21 +239,18 @@ class SuggestStep(Gather):
         return {**self.found.merged.changes, "suggested": now()}
 
 
-class VerdictStep(Gather):
+class VerdictStep(PressStep):
     """Judges the preset on the press: the error of a patch's boundary and the weakest link."""
 
-    at_rest = False
+    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
+        tip = "Tell the error of a patch's boundary, and what limits it"
+        super().__init__(context, press, push_button("&Judge", tip))
 
-    def __init__(self, context: Context, bias: BiasStep) -> None:
-        super().__init__(context, push_button("&Judge", "Tell the error of a patch's boundary, and what limits it"))
-        self._bias = bias
-
-    def at_hand(self) -> list[SensorFrame]:
-        return list(self._bias.pressed[-1:])
-
-    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+    def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
         preset, home = self._document.preset, self._document.untouched_home
-        return lambda progress: judge_rig(preset, info.rig, kept[-1], info.find_untouched(preset, home, progress).frame)
+        return lambda progress: judge_rig(
+            preset, info.rig, pressed[-1], info.find_untouched(preset, home, progress).frame
+        )
 
     def show_found(self, found: Verdict) -> None:
         self.sentence.setText(found.sentence)

@@ -43,7 +43,7 @@ def test_one_click_sets_up_the_simulated_rig(qtbot, set_up, tmp_path):
     assert preset.noise.bias_from == "contact"
     assert preset.mask.enabled and preset.contact_test == "membrane"
     assert 0.3 < verdict.error_mm < 3 and verdict.weakest in verdict.links_mm
-    assert set_up.bias.work.pressed
+    assert set_up.press
     window.document.edit("name", "mine")
     assert set_up.verdict.mark.text() == "✓"
     window.document.save(tmp_path / "mine.json")
@@ -64,7 +64,7 @@ def test_a_bias_that_prints_tell_still_asks_for_the_press_that_is_judged(qtbot, 
     qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
     click(set_up.start)
     qtbot.waitUntil(lambda: not set_up.running, timeout=300_000)
-    assert set_up.bias.work.pressed
+    assert set_up.press
     assert marks(set_up) == "✓" * len(set_up.rows), set_up.headline.text()
 
 
