@@ -111,6 +111,17 @@ def window() -> None:
         print(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
 
 
+def set_up() -> None:
+    """The guided set-up with its verdict."""
+    with opened() as window:
+        window.actions_.set_up.trigger()
+        window.resize(1280, 720)
+        window.set_up.start.click()
+        wait(lambda: not window.set_up.running, "verdict")
+        settle()
+        save(window.set_up, "set-up")
+
+
 def mask() -> None:
     """The images while the eyedropper is in use."""
     with opened() as window:
@@ -176,6 +187,7 @@ def quality() -> None:
 
 PICTURES: dict[str, Callable[[], None]] = {
     "window": window,
+    "set-up": set_up,
     "mask": mask,
     "panel-membrane": panel_membrane,
     "panel-tolerance": panel_tolerance,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
@@ -131,8 +132,10 @@ def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, 
     first = 0 if last is None else max(last - _RECENT + 1, 0)
     if last is not None and source.length is not None and last >= source.length:
         raise AdviceError(f"{source.name}: there is no frame {last}; its frames run from 0 to {source.length - 1}")
-    if first:
+    if first and source.length is not None:
         source.seek(first)
+    elif first:  # cameras cannot seek
+        deque(islice(source, first), maxlen=0)
     frames = tuple(islice(source, _RECENT if last is None else last + 1 - first))
     if not frames or (last is not None and len(frames) < last + 1 - first):
         raise AdviceError(f"{source.name}: there is no frame {last or 0}; choose another --frame or source")

@@ -59,8 +59,8 @@ def _unbiased(preset: Preset) -> str:
     noise = preset.noise
     if noise is None or noise.bias_from == "unknown":
         return ""
-    place = "the membrane's prints" if noise.bias_from == "prints" else "a firm press"
-    return f"Bias {1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured on {place}."
+    place = "on the prints" if noise.bias_from == "prints" else "in a firm press"
+    return f"{1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured {place}."
 
 
 def _suggested(preset: Preset) -> str:
