@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from ...core.errors import TactuneError, as_sentence, counted
-from ..doctor.checks import State
 from ..sources.list_devices import ask_driver
 from .common import CliProgress, say, warn
 
@@ -56,7 +55,7 @@ def doctor() -> None:
 
     Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """
-    from ..doctor.computer import check_computer, report
+    from .computer import State, check_computer, report
 
     lines = check_computer()
     say(report(lines))

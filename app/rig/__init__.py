@@ -1,1 +1,1 @@
-"""Windows about the rig: camera checks, and capture of the untouched frame."""
+"""The rig: the guided set-up and its steps, and the check for drift."""

@@ -30,10 +30,10 @@ from ..calibration.wizard import CalibrationLauncher
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..document.keeping import Autosave
+from ..rig.set_up_panel import SetUpPanel, StepRow
 from ..rig.untouched import UntouchedControls
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
-from ..setup.panel import SetUpPanel, StepRow
 from ..sources.cameras_page import CAMERA_SCHEMES
 from ..sources.control import CameraControl
 from ..sources.opening import OpenControl

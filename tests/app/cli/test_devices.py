@@ -2,16 +2,15 @@
 
 import pytest
 
-from tactune.app.doctor import checks as doctor
-from tactune.app.doctor.checks import Child
 from tactune.app.sources import list_devices
+from tactune.app.sources.list_devices import Child
 from tactune.core.sources.cameras import drivers
 from tactune.core.sources.cameras.camera import DeviceInfo
 
 
 @pytest.mark.parametrize("died", ["crashed (SIGSEGV)", "no answer within 15 s"])
 def test_a_driver_that_crashes_or_hangs_is_one_sentence(tactune, monkeypatch, died):
-    monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: Child(problem=died))
+    monkeypatch.setattr(list_devices, "run_child", lambda command, patience_s: Child(problem=died))
     assert died in tactune("devices").sentence
 
 
@@ -21,7 +20,7 @@ def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, mon
         capsys.readouterr()
         assert list_devices.main() == 0
         written = capsys.readouterr().out
-        monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: Child(written))
+        monkeypatch.setattr(list_devices, "run_child", lambda command, patience_s: Child(written))
         return tactune("devices")
 
     l515 = DeviceInfo("L515", "f0190001", role="proximity", firmware="1.5.8.1", usb="3.2")

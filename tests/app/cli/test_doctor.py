@@ -5,13 +5,9 @@ import os
 
 import pytest
 
-from tactune.app.doctor import computer
-from tactune.app.doctor.checks import Check, Child, State, python_child, run_child
-from tactune.app.doctor.computer import (
-    check_cameras,
-    check_drivers,
-    check_packages,
-)
+from tactune.app.cli import computer
+from tactune.app.cli.computer import Check, State, check_cameras, check_drivers, check_packages
+from tactune.app.sources.list_devices import Child, python_child, run_child
 
 
 def answering(answer):

@@ -9,11 +9,12 @@ import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib.metadata import requires, version
 from importlib.util import find_spec
 from pathlib import Path
 
-from .checks import Check, RunChild, State, python_child, run_child
+from ..sources.list_devices import RunChild, python_child, run_child
 
 _FRAMES_BYTES = 37e6
 #: Distribution names whose import name differs.
@@ -40,6 +41,28 @@ except TactuneError as error:
     answer["problem"] = str(error)
 print(json.dumps(answer))
 """
+
+
+class State(StrEnum):
+    """Result of a check; ``WARN`` concerns only some uses."""
+
+    OK = "ok"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the report: what was checked, what was found, and what to do if something is wrong."""
+
+    name: str
+    state: State
+    found: str
+    remedy: str = ""
+
+    def text(self) -> str:
+        first = f"{self.state:<5}{self.name:<16}{self.found}"
+        return f"{first}\n{'':<21}{self.remedy}" if self.remedy else first
 
 
 def check_computer() -> list[Check]:

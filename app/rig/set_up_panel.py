@@ -21,12 +21,12 @@ from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..context import Context
-from ..rig.gather import OTHER_SOURCE, Gather
-from ..rig.noise import NoiseStep
-from ..rig.untouched import UntouchedStep
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
-from .steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
+from .gather import OTHER_SOURCE, Gather
+from .noise import NoiseStep
+from .set_up_steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
+from .untouched import UntouchedStep
 
 _LEFT_OUT: Final = "Left out: this rig has one camera."
 _CAMERAS: Final = "cameras:"

@@ -1,1 +1,0 @@
-"""Setting up a rig: cameras or a recording, untouched frame, alignment, noise."""
