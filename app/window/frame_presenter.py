@@ -83,7 +83,7 @@ def _metres(value: float) -> str:
     return f"{value:.4f} m" if math.isfinite(value) else "none"
 
 
-#: Interval between updates of the readout while frames play, in seconds.
+#: Interval between updates of the numbers while frames play, in seconds: nobody reads them faster.
 READING_INTERVAL_S = 0.1
 
 #: The cameras that each view needs.
@@ -146,16 +146,16 @@ class FramePresenter(QObject):
         histogram = result.rendered.histogram
         if histogram is not None:  # the worker counts less often than frames come
             self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, histogram.known)
-        now = time.perf_counter()
+        shown_fps, now = self._status.show_result(result), time.perf_counter()
         if not result.playback.playing or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
+            readings = patch_readings(result, shown_fps) if compared is None else ()
+            self._views.views[CloudName.PATCH].set_readings(readings)
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
             if strip is not None:  # else it is drawn with a later frame
                 self._panel.show_masked_share(strip.masked_share)
             self._show_readout()
         self._transport.show_state(result.playback)
-        shown_fps = self._status.show_result(result)
-        self._views.views[CloudName.PATCH].set_readings(patch_readings(result, shown_fps) if compared is None else ())
         self._show_warnings(result)
 
     def set_wipe_share(self, share: float) -> None:

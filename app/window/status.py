@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel, QPushButton, QStatusBar
@@ -22,7 +21,7 @@ _MIN_SHOWN_MS = 0.05
 _UNKNOWN = "–"
 
 
-def patch_readings(result: Result, shown_fps: float) -> Sequence[Reading]:
+def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     """Return the numbers that stand on the patch: area, doubt, frame rate and centroid."""
     patch, doubt = result.patch, result.doubt
     area = touches = edge = centroid = _UNKNOWN

@@ -35,9 +35,11 @@ class FrameNumber(QSpinBox):
     def show_frame(self, index: int, length: int | None) -> None:
         """Show a frame; what a person types stays until it is finished."""
         if not self.hasFocus():
+            suffix = f" of {length}" if length is not None else ""
             with QSignalBlocker(self):
-                self.setMaximum(length or 99_999_999)
-                self.setSuffix(f" of {length}" if length is not None else "")
+                if suffix != self.suffix():  # both of these lay out the whole window
+                    self.setMaximum(length or 99_999_999)
+                    self.setSuffix(suffix)
                 self.setValue(index + 1)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
@@ -56,6 +58,7 @@ class Transport(QWidget):
     def __init__(self, actions: Actions) -> None:
         super().__init__()
         self._actions = actions
+        self.setAutoFillBackground(True)  # else each frame number would paint all widgets behind it
         self.state = PlaybackState(length=1)
         self.position = FrameNumber()
         self.position.valueChanged.connect(lambda number: self.seekRequested.emit(number - 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
@@ -46,7 +46,7 @@ def draw_strip(
     depth_range_m: tuple[float, float],
     *,
     accepted: float,
-    images: Collection[str],
+    images: frozenset[str],
     width_hint: int,
     shows_mask: bool = True,
 ) -> RenderedStrip:
@@ -58,24 +58,28 @@ def draw_strip(
     counts = np.ascontiguousarray(frame.proximity_depth[every])
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
-    color = compared = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
-    as_masked = frame
-    if patch is not None and patch.mask_colors is not None and preset.mask.enabled:
+    as_masked, masked = frame, preset.mask.enabled
+    if patch is not None and patch.mask_colors is not None and masked:
         as_masked = replace(frame, proximity_color=patch.mask_colors.get())
+    color, mask_overlay = np.empty((0, 0, 3), np.uint8), None
+    expected_m = measured_m = np.empty((0, 0), np.float32)  # aligning depth for images behind a tab takes long
+    if "color" in images:
+        color = compared = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
         if as_masked.proximity_color is not frame.proximity_color:
             compared = aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
-    if patch is None:
+        mask_overlay = in_hsv_range(compared, preset.mask) if masked and shows_mask else None
+    if images != {"color"} and patch is not None:
+        expected_m, measured_m = (
+            np.ascontiguousarray(image[every]) for image in (patch.aligned.expected_m, patch.aligned.measured_m)
+        )
+    elif images != {"color"}:
         measured_m = np.full(counts.shape, np.nan, np.float32)
         expected_m = np.where(valid, depth_m, measured_m)
         if not rig.has_proximity:  # one image, which needs no alignment
             measured_m = expected_m
-    else:
-        expected_m, measured_m = (
-            np.ascontiguousarray(image[every]) for image in (patch.aligned.expected_m, patch.aligned.measured_m)
-        )
     sampled = StripImages(
         color=color,
-        mask_overlay=in_hsv_range(compared, preset.mask) if preset.mask.enabled and shows_mask else None,
+        mask_overlay=mask_overlay,
         proximity_m=expected_m,
         tactile_m=measured_m,
         relative=np.asarray((expected_m - measured_m) / expected_m, np.float32),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
-from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, Qt
-from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPalette, QPen
+from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, QSizeF, Qt
+from PyQt6.QtGui import QColor, QFontMetrics, QImage, QPainter, QPaintEvent, QPalette, QPen
 from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QWidget
 
 from .layouts import STRETCH, vbox
@@ -53,6 +53,8 @@ class Notice(QWidget):
 
     def offer(self, text: str, tip: str) -> None:
         """Show a button below the words, or with an empty text none."""
+        if (text, tip) == (self.button.text(), self.button.toolTip()):
+            return
         self.button.setText(text)
         self.button.setToolTip(tip)
         self.button.setVisible(bool(text))
@@ -134,26 +136,31 @@ class Reading(NamedTuple):
     widest: str
 
 
-def paint_readings(painter: QPainter, room: QRect, readings: Sequence[Reading]) -> None:
-    """Paint numbers in large type, with their captions, into a band at the top with as many rows as they need."""
+@lru_cache(maxsize=2)
+def readings_image(width: int, readings: tuple[Reading, ...], plate: str, ratio: float) -> QImage:
+    """Return a band with numbers in large type and their captions, in as many rows as they need; ``plate`` is below."""
     large, small = text_font("title", bold=True), text_font("caption")
     numbers, captions = QFontMetrics(large), QFontMetrics(small)
-    left, gap, height = room.left() + 8, 12, numbers.height() + captions.height() + 4
+    left, gap, height = 8, 12, numbers.height() + captions.height() + 4
     places: list[QRect] = []
-    x, y = left, room.top() + 4
+    x, y = left, 4
     for _, words, widest in readings:
-        width = max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words))
-        if x + width > room.right() and x > left:
+        taken = max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words))
+        if x + taken >= width and x > left:
             x, y = left, y + height
-        places.append(QRect(x, y, width, numbers.height()))
-        x += width + gap
-    palette = QApplication.palette()
-    plate = palette.color(QPalette.ColorRole.Base)
-    plate.setAlpha(_PLATE_ALPHA)
-    painter.fillRect(QRect(room.left(), room.top(), room.width(), y + height), plate)
+        places.append(QRect(x, y, taken, numbers.height()))
+        x += taken + gap
+    image = QImage(QSizeF(width * ratio, (y + height) * ratio).toSize(), QImage.Format.Format_ARGB32_Premultiplied)
+    image.setDevicePixelRatio(ratio)
+    ground = QColor(plate)
+    ground.setAlpha(_PLATE_ALPHA)
+    image.fill(ground)
+    painter, palette = QPainter(image), QApplication.palette()
     for font, role, line in ((large, QPalette.ColorRole.Text, 0), (small, QPalette.ColorRole.PlaceholderText, 1)):
         painter.setFont(font)
         painter.setPen(palette.color(role))
         for place, reading in zip(places, readings, strict=True):
             at = QPoint(place.left(), place.bottom() + captions.ascent() if line else place.top() + numbers.ascent())
             painter.drawText(at, reading[line])
+    painter.end()
+    return image

@@ -12,7 +12,6 @@ less than 65,000 times the nearest, and still tell a millionth of a distance apa
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -25,7 +24,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float32Array, Uint8Array
 from ..basics.colormaps import over_background
-from ..basics.overlays import Reading, Wipe, paint_readings, paint_wipe
+from ..basics.overlays import Reading, Wipe, paint_wipe, readings_image
 from ..basics.theme import CASING, ThemeName, text_font, theme_name
 from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .view_camera import FAR, NEAR, ViewCamera
@@ -183,7 +182,7 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
-_APART = 0.75
+_APART = 0.8
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
@@ -207,7 +206,8 @@ class SoftwareRenderer:
         self._lut: Uint8Array | None = None
         self._background, self._colors = (0, 0, 0), np.empty(0, np.uint32)
         self._rays_of: Float32Array | None = None
-        self._step, self._rays = 0, np.empty((2, 0, 0), np.float32)
+        self._look: Look | None = None
+        self._step, self._rays = 1, np.empty((2, 0, 0), np.float32)
         self._drawn: tuple[DepthCloud | None, Look] | None = None
         self._picture = QImage()
 
@@ -231,7 +231,9 @@ class SoftwareRenderer:
         if cloud is None:
             self._buffer.fill(argb)
             return self._buffer
-        step = 2 if look.running and _overlaps_thinned(cloud, look) else 1
+        step = self._step
+        if self._rays_of is not cloud.rays or self._look != look:
+            self._look, step = look, _largest_step(cloud, look) if look.running else 1
         if self._rays_of is not cloud.rays or self._step != step:
             self._rays_of, self._step = cloud.rays, step
             self._rays = np.ascontiguousarray(np.moveaxis(cloud.rays[::step, ::step], 2, 0))
@@ -255,17 +257,17 @@ class SoftwareRenderer:
         return self._buffer
 
 
-def _overlaps_thinned(cloud: DepthCloud, look: Look) -> bool:
-    """Return whether every other row and column still overlaps, judged in the middle at the far end of the colours."""
+def _largest_step(cloud: DepthCloud, look: Look) -> int:
+    """Return the step in rows and columns at which points still overlap in the middle, at the far end of the colours."""
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
-        return False
+        return 1
     v, u = height // 2 - 1, width // 2 - 1
     rays = np.array([(*cloud.rays[v + down, u + right], 1.0) for down, right in ((0, 0), (0, 1), (1, 0))])
     places = cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3]
     seen = look.camera.project(places, *look.size)
-    apart = 2.0 * np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1)
-    return bool((seen[:, 2] > 0).all() and apart.max() <= _APART * look.point_size)
+    apart = np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()
+    return max(1, int(_APART * look.point_size / apart)) if (seen[:, 2] > 0).all() and apart > 0 else 1
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
@@ -289,7 +291,7 @@ class CloudCanvas(QWidget):
         self.running = False  # frames follow each other
         self.mark: Place | None = None
         self.arrow: tuple[Place, Place] | None = None  # from and to
-        self.readings: Sequence[Reading] = ()
+        self.readings: tuple[Reading, ...] = ()
         self._renderers = SoftwareRenderer(), SoftwareRenderer()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
 
@@ -324,7 +326,8 @@ class CloudCanvas(QWidget):
         if self.wipe is not None:
             paint_wipe(painter, QRectF(self.rect()), self.wipe)
         elif self.readings:
-            paint_readings(painter, self.rect(), self.readings)
+            plate = self.palette().color(QPalette.ColorRole.Base).name()
+            painter.drawImage(0, 0, readings_image(self.width(), self.readings, plate, self.devicePixelRatioF()))
         painter.end()
 
     def _paint_arrow(self, painter: QPainter, start: Place, end: Place) -> None:

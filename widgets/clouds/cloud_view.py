@@ -197,13 +197,13 @@ class CloudView(QWidget):
     def arrow(self) -> tuple[Place, Place] | None:
         return self._canvas.arrow
 
-    def set_readings(self, readings: Sequence[Reading]) -> None:
+    def set_readings(self, readings: tuple[Reading, ...]) -> None:
         """Show numbers in large type over the upper left corner."""
         if readings != self._canvas.readings:
             self._canvas.readings = readings
             self._canvas.update()
 
-    def readings(self) -> Sequence[Reading]:
+    def readings(self) -> tuple[Reading, ...]:
         return self._canvas.readings
 
     def _show_count(self) -> None:
