@@ -24,7 +24,7 @@ from .view_area import ViewArea
 LINGER_MS = 1000
 
 #: Height of the rail, pixels.
-RAIL_PX = 136
+RAIL_PX = 112
 
 _NOTHING = "Nothing is wrong with this frame."
 _NO_FRAME = "No patch was examined yet."

@@ -38,17 +38,11 @@ class RunPanel(QWidget):
         self, actions: Actions, recording: RecordingBar, publishing: PublishPanel, details: FrameDetails
     ) -> None:
         super().__init__()
-        folder = text_button(actions.recordings_folder)
-        marks = [text_button(action) for action in (actions.mark_in, actions.mark_out, actions.clear_marks)]
+        self._live = QWidget()
+        record = hbox(text_button(actions.record), text_button(actions.recordings_folder), STRETCH)
+        vbox(heading("Record"), record, recording, 8, within=self._live, margins=0)
         vbox(
-            heading("Record"),
-            hbox(text_button(actions.record), folder, STRETCH),
-            recording,
-            8,
-            heading("Part of the recording"),
-            hbox(*marks, STRETCH),
-            hbox(text_button(actions.export), STRETCH),
-            8,
+            self._live,
             heading("Publish"),
             publishing,
             8,
@@ -59,6 +53,10 @@ class RunPanel(QWidget):
             margins=8,
         )
         self.setAccessibleName("Record and run")
+
+    def show_source(self, info: SourceInfo) -> None:
+        """Offer to record what is live; the next step of a recording is to export it."""
+        self._live.setVisible(info.length is None)
 
 
 def heading(text: str) -> QLabel:
@@ -77,7 +75,7 @@ class ModeColumn(QWidget):
         self._context, self._actions, self._panels = context, actions, panels
         self._info: SourceInfo | None = None
         self._recording = False
-        self._sentence = NoteLabel(lines=3)
+        self._sentence = NoteLabel(lines=2)
         self.button = QToolButton()
         self.button.setProperty("primary", True)
         self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
@@ -97,7 +95,7 @@ class ModeColumn(QWidget):
         worker.opened.connect(self._opened)
         worker.recordingStarted.connect(lambda _: self._show_recording(True))
         worker.recordingEnded.connect(lambda _: self._show_recording(False))
-        for changed in (document.presetChanged, document.fileChanged, context.trimChanged):
+        for changed in (document.presetChanged, document.fileChanged):
             changed.connect(self._show_step)
         self._show_step()
 
@@ -127,7 +125,7 @@ class ModeColumn(QWidget):
 
     def _show_step(self) -> None:
         context = self._context
-        sentence, name = next_step(self.mode, self._info, context.document.dirty, self._recording, context.trim)
+        sentence, name = next_step(self.mode, self._info, context.document.dirty, self._recording)
         self._step.setVisible(self.mode is not Mode.SET_UP)  # its own panel names the next step
         self._sentence.setText(sentence)
         for shown in self.button.actions():
@@ -135,16 +133,9 @@ class ModeColumn(QWidget):
         self.button.setDefaultAction(self._actions.by_name()[name])
 
 
-def next_step(
-    mode: Mode,
-    info: SourceInfo | None,
-    dirty: bool,
-    recording: bool,
-    trim: tuple[int, int] | None,
-) -> tuple[str, str]:
+def next_step(mode: Mode, info: SourceInfo | None, dirty: bool, recording: bool) -> tuple[str, str]:
     """Return what to do next in a mode, in words, and the name of the action that does it."""
     live = info is not None and info.length is None
-    several = info is not None and (info.length or 0) > 1
     steps = {
         Mode.TUNE: (
             (dirty, "Values were changed: save them in the preset.", "save"),
@@ -153,8 +144,7 @@ def next_step(
         Mode.RUN: (
             (recording, "Press the object, then finish the recording.", "record"),
             (live, "Record every frame of the cameras.", "record"),
-            (several and trim is None, "Mark where the part to export begins (I) and ends (O).", "mark_in"),
-            (True, "Export the marked frames for other tools.", "export"),
+            (True, "Export all frames, or the part between the marks (I and O).", "export"),
         ),
     }
     if info is None or mode is Mode.SET_UP:

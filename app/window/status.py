@@ -63,7 +63,7 @@ class FrameDetails(QLabel):
         self.setToolTip("A stage that is cached or skipped is left out. Unmatched: images without a partner in time")
         self.setWordWrap(True)
         self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.setMinimumHeight(10 * self.fontMetrics().lineSpacing())  # so that nothing moves
+        self.setMinimumHeight(9 * self.fontMetrics().lineSpacing())  # so that nothing moves
         self.setAlignment(Qt.AlignmentFlag.AlignTop)
 
     def show_result(self, result: Result, shown_fps: float) -> None:
@@ -77,13 +77,11 @@ class FrameDetails(QLabel):
         doubt = result.doubt
         lines = (
             f"Doubt: {', '.join(doubt.reasons) if doubt is not None and doubt.reasons else 'none known'}",
-            f"Drawn: {shown_fps:.0f} frames/s" if runs else "Drawn: paused",
-            f"Dropped: {result.dropped}",
-            f"Unmatched: {result.unmatched}",
-            f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
             f"Patch: {points}",
-            f"Reading: {result.read_ms:.1f} ms",
-            f"Drawing: {result.render_ms:.1f} ms",
+            f"Drawn: {f'{shown_fps:.0f} frames/s' if runs else 'paused'}",
+            f"Dropped: {result.dropped}, unmatched: {result.unmatched}",
+            f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
+            f"Reading: {result.read_ms:.1f} ms, drawing: {result.render_ms:.1f} ms",
             f"Stages: {times}",
         )
         self.setText("\n".join(lines))

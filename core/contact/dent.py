@@ -48,7 +48,7 @@ class DentSection(Section):
     share: Annotated[
         float,
         described(
-            "Share of the deepest",
+            "Share of deepest",
             "Contact is where a dent is deeper than this share of its deepest point. A larger value gives a smaller "
             "patch. 0 counts the whole dent.",
             slider=(0.0, 0.95),
@@ -59,7 +59,7 @@ class DentSection(Section):
     min_area_mm2: Annotated[
         float,
         described(
-            "Smallest dent area",
+            "Smallest area",
             "Connected groups of pixels with a smaller area are dropped. 0 keeps all.",
             unit="mm2",
             slider=(0.0, 500.0),

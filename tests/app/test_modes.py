@@ -1,12 +1,15 @@
 """The three modes, the bar at the top and the search, by real keys and mouse."""
 
+import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QToolButton
 
 from fakes import FakeSource
-from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
+from hands import CONTROL, CONTROL_SHIFT, show_source
 from tactune.app.window.modes import Mode
+from tactune.core.preset import CONTACT_TESTS
+from tactune.widgets.parameters.slider import Slider
 
 KEYS = {Mode.SET_UP: Qt.Key.Key_1, Mode.TUNE: Qt.Key.Key_2, Mode.RUN: Qt.Key.Key_3}
 
@@ -62,14 +65,37 @@ def test_the_mode_is_remembered(make_window, qtbot):
 
 def test_the_next_step_has_its_button(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
-    QTest.mouseClick(window.modes.button, LEFT)
-    assert window.context.trim == (3, 8), "mark the part to export"
     assert window.modes.button.defaultAction() is window.actions_.export
     QTest.keyClick(window, Qt.Key.Key_2, CONTROL)
     assert window.modes.button.defaultAction() is window.actions_.suggest_all
     window.document.edit("tolerance.t", 0.02)
     assert window.modes.button.defaultAction() is window.actions_.save
-    window.context.trim = None
+
+
+@pytest.mark.parametrize("contact_test", CONTACT_TESTS)
+def test_sliders_are_long_enough_to_aim_with_in_a_small_window(window, qtbot, contact_test):
+    window.resize(1024, 700)
+    QTest.keyClick(window, Qt.Key.Key_2, CONTROL)
+    window.document.edit("contact_test", contact_test)
+    window.panel.set_collapsed_sections([])
+    for form in window.panel.forms.values():
+        form.set_open(True)
+    sliders = [slider for slider in window.panel.findChildren(Slider) if slider.isVisible()]
+    qtbot.waitUntil(lambda: min(slider.width() for slider in sliders) >= 120)
+    for row in window.panel.rows.values():
+        if row.label.isVisible():
+            assert row.label.width() >= row.label.sizeHint().width()
+
+
+def test_what_is_live_is_recorded_and_a_recording_is_exported(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
+    record = window.actions_.record
+    shown = [button for button in window.modes.findChildren(QToolButton) if button.defaultAction() is record]
+    assert not any(button.isVisible() for button in shown)
+    assert window.modes.button.defaultAction() is window.actions_.export
+    show_source(qtbot, window, FakeSource(live=True))
+    qtbot.waitUntil(lambda: any(button.isVisible() for button in shown))
+    qtbot.waitUntil(lambda: window.modes.button.defaultAction() is record)
 
 
 def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):

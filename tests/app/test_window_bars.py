@@ -51,7 +51,7 @@ def test_the_details_name_the_times_of_the_stages_that_took_time(bar, result):
     give(bar, result, {"fusion": 1.5, "outliers": 0.4, "clusters": 0.0}, dropped=3, unmatched=5)
     said = bar.details.text().splitlines()
     assert "Stages: fusion 1.5 + outliers 0.4 = 1.9 ms" in said
-    assert {"Dropped: 3", "Unmatched: 5", "Skew, tactile minus proximity: 2.0 ms"} < set(said)
+    assert {"Dropped: 3, unmatched: 5", "Skew, tactile minus proximity: 2.0 ms"} < set(said)
 
 
 def test_the_state_is_said_in_a_word_or_two(bar):

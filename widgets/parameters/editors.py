@@ -46,6 +46,7 @@ class NumberEntry(QAbstractSpinBox):
         self._edit = self.lineEdit() or QLineEdit(self)
         self._edit.setAlignment(Qt.AlignmentFlag.AlignRight)
         self._edit.textEdited.connect(lambda _: setattr(self, "_typing", True))
+        self.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)  # the room is the slider's; keys step
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(self._title)
         self.editingFinished.connect(self._commit)
@@ -85,8 +86,7 @@ class NumberEntry(QAbstractSpinBox):
         spec = self._spec
         ends = (*spec.slider, -spec.step if spec.minimum < 0 else spec.step)
         texts = [f"{end * spec.factor:.{spec.decimals}f}" for end in ends]
-        around = 32 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 8
-        return QSize(max(map(self.fontMetrics().horizontalAdvance, texts)) + around, super().sizeHint().height())
+        return QSize(max(map(self.fontMetrics().horizontalAdvance, texts)) + 8, super().sizeHint().height())
 
     def minimumSizeHint(self) -> QSize:
         return self.sizeHint()
@@ -197,8 +197,6 @@ class NumbersEditor(QWidget):
         for entry in self.entries:
             entry.edited.connect(lambda _, gesture: self._take([entry.value() for entry in self.entries], gesture))
             entry.refused.connect(self.refused)
-            if spec.kind != "number":
-                entry.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
         parts: list[Part] = list(self.entries)
         if spec.kind == "rectangle":
             named = zip("xywh", self.entries, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from typing import Any, Final
 
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -12,10 +12,10 @@ from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
 from ..basics.controls import FoldButton, NoteLabel, TintedLabel, tool_button
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
-from ..basics.layouts import vbox
+from ..basics.layouts import hbox, vbox
 from .editors import NumbersEditor, make_editor
 
-#: Columns of a form: label, editor, unit, reset button.
+#: Columns of a form: reset button, label, editor, unit.
 COLUMNS: Final = 4
 _RESET_WIDTH = 20
 
@@ -60,15 +60,14 @@ class ParameterRow(QObject):
 
     def add_to(self, grid: QGridLayout) -> None:
         line, self._is_placed = grid.rowCount(), True
-        grid.setColumnMinimumWidth(3, _RESET_WIDTH)
-        grid.addWidget(self.label, line, 0)
-        grid.addWidget(self.unit, line, 2)
-        grid.addWidget(self.reset, line, 3)
-        grid.addWidget(self.message, line + 2, 0, 1, COLUMNS)
+        grid.addWidget(self.reset, line, 0)
+        grid.addWidget(self.label, line, 1)
+        grid.addWidget(self.unit, line, 3)
+        grid.addWidget(self.message, line + 2, 1, 1, COLUMNS - 1)
         if self.spec.kind in ("rectangle", "matrix"):
-            grid.addWidget(self.widget, line + 1, 0, 1, COLUMNS)
+            grid.addWidget(self.widget, line + 1, 1, 1, COLUMNS - 1)
         else:
-            grid.addWidget(self.widget, line, 1)
+            grid.addWidget(self.widget, line, 2)
         self._update_reset()
 
     def set_shown(self, shown: bool) -> None:
@@ -139,7 +138,8 @@ class Form(QWidget):
             "More", f"More of {title}", f"Show or hide the fields of {title} that are seldom changed"
         )
         self.more.clicked.connect(lambda: self.set_open(not self.is_open))
-        vbox(seen, self.more, self._body, within=self, margins=(8, 4, 4, 4), spacing=4)
+        more = hbox(_RESET_WIDTH, self.more, spacing=0)
+        vbox(seen, more, self._body, within=self, margins=(0, 4, 4, 4), spacing=4)
         self.more.hide()
         self.set_open(False)
         for row in rows:
@@ -161,17 +161,26 @@ class Form(QWidget):
         else:
             row.add_to(self._grid)
 
-    def add_line(self, widget: QWidget, title: str = "", column: int = 0) -> None:
-        """Append a widget in a line of its own, from a column on, or after a title."""
-        line = self._grid.rowCount()
+    def add_line(self, widget: QWidget, title: str = "") -> None:
+        """Append a widget in a line of its own, or after a title."""
+        line, column = self._grid.rowCount(), 1
         if title:
-            self._grid.addWidget(QLabel(title), line, 0)
-            column = 1
+            self._grid.addWidget(QLabel(title), line, 1)
+            column = 2
         self._grid.addWidget(widget, line, column, 1, COLUMNS - column)
 
     @property
     def is_open(self) -> bool:
         return bool(self.advanced) and not self._body.isHidden()
+
+    def align_columns(self) -> None:
+        """Give labels, number fields and units equal widths: those behind the fold stand in a grid of their own."""
+        rows = [row for row in self.rows.values() if not row.in_header]
+        entries = [row.widget.entry for row in rows if row.spec.kind == "number"]
+        for widgets in ([row.label for row in rows], [row.unit for row in rows], entries):
+            width = max((widget.sizeHint().width() for widget in widgets), default=0)
+            for widget in widgets:
+                widget.setMinimumWidth(width)
 
     def set_open(self, opened: bool) -> None:
         self._body.setVisible(opened)
@@ -190,14 +199,6 @@ def _grid(within: QWidget) -> QGridLayout:
     grid.setContentsMargins(0, 0, 0, 0)
     grid.setHorizontalSpacing(4)
     grid.setVerticalSpacing(4)
-    grid.setColumnStretch(1, 1)
+    grid.setColumnMinimumWidth(0, _RESET_WIDTH)
+    grid.setColumnStretch(2, 1)
     return grid
-
-
-def align_columns(rows: Collection[ParameterRow]) -> None:
-    """Give labels, number fields and units of all rows equal widths, so that columns are aligned across sections."""
-    entries = [row.widget.entry for row in rows if isinstance(row.widget, NumbersEditor) and row.spec.kind == "number"]
-    for widgets in ([row.label for row in rows], [row.unit for row in rows], entries):
-        width = max(widget.sizeHint().width() for widget in widgets)
-        for widget in widgets:
-            widget.setMinimumWidth(width)

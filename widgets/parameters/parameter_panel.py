@@ -21,7 +21,7 @@ from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
-from .form import Form, ParameterRow, align_columns
+from .form import Form, ParameterRow
 
 #: The sections of the panel, top to bottom: part of the preset, title.
 SECTIONS = (
@@ -74,14 +74,15 @@ class ParameterPanel(QScrollArea):
         tip = "Tint what the mask covers in the colour image"
         self.show_mask = _bar_button("Show", tip, "Show mask")
         self.histograms: dict[str, LimitHistogram] = {}
-        self.masked_share, self.alignment_info, self.tolerance_mm, self._test_note = (_note() for _ in range(4))
+        self.masked_share, self.alignment_info, self.tolerance_mm = (_note() for _ in range(3))
 
         content = QWidget()
         self._column = vbox(within=content, margins=4, spacing=8)
         for name, title in SECTIONS:
             self._column.addWidget(self._make_section(name, title, name in suggestible))
         self._column.addStretch(1)
-        align_columns(self.rows.values())
+        for form in self.forms.values():
+            form.align_columns()
         self._order_tabs()
         self.setWidget(content)
         self.setWidgetResizable(True)
@@ -210,8 +211,6 @@ class ParameterPanel(QScrollArea):
                 section.add_header_widget(row.widget)
             self._add_below(spec, form)
         form.edited.connect(self._row_edited)
-        if name == "contact_test":
-            form.add_line(self._test_note)
         if name == "mask":
             for mode, (text, tip) in _EYEDROPPERS.items():
                 button = self.eyedroppers[mode] = _bar_button(text, tip, f"Eyedropper: {mode}")
@@ -306,8 +305,8 @@ class ParameterPanel(QScrollArea):
         for name, test in CONTACT_TESTS.items():
             for section in test.sections:
                 self.sections[section].setVisible(name == self._value("contact_test"))
-        self._test_note.setText(CONTACT_TESTS[str(self._value("contact_test"))].note)
-        self._test_note.show()
+        test = self.rows["contact_test"]
+        test.widget.setToolTip(f"{test.spec.tooltip}\n{CONTACT_TESTS[test.editor.value()].note}")
         for path, histogram in self.histograms.items():
             histogram.set_limit(self.rows[path].editor.value())
         self._enable_eyedroppers()

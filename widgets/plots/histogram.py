@@ -65,7 +65,7 @@ class LimitHistogram(QWidget):
         self.plot_widget = Plot(unit=quantity.unit)
         self.plot_widget.setMinimumWidth(200)
         vbox(self.plot_widget, within=self, margins=0)
-        self.setFixedHeight(120)
+        self.setFixedHeight(96)
         self.setAccessibleName(quantity.name)
         self.setToolTip(quantity.tip)
         plot = self._plot = self.plot_widget.getPlotItem()

@@ -13,7 +13,7 @@ class PressureSection(Section):
     limit: Annotated[
         float,
         described(
-            "Smallest pressure",
+            "Lowest pressure",
             "Contact is where the pressure of the object exceeds this share of the inflation. Noise raises it. A "
             "larger value gives a smaller patch.",
             unit="share",
@@ -26,7 +26,7 @@ class PressureSection(Section):
     share: Annotated[
         float,
         described(
-            "Share of the largest",
+            "Share of largest",
             "Contact ends where the pressure falls below this share of the largest pressure of the same contact (its "
             "90 % quantile). A larger value gives a smaller patch.",
             slider=(0.0, 0.95),
@@ -37,7 +37,7 @@ class PressureSection(Section):
     noise: Annotated[
         float,
         described(
-            "Noise of the pressure",
+            "Pressure noise",
             "Standard deviation of the pressure, as a share of the inflation, that the averaging window is chosen for: "
             "the noisier the camera, the wider the window. A smaller value averages more and resolves less.",
             unit="share",
@@ -50,7 +50,7 @@ class PressureSection(Section):
     min_area_mm2: Annotated[
         float,
         described(
-            "Smallest contact area",
+            "Smallest patch",
             "Connected groups of pixels with a smaller area are dropped. 0 keeps all.",
             unit="mm2",
             slider=(0.0, 500.0),
@@ -74,7 +74,7 @@ class PressureSection(Section):
     gauge_sigma_pa: Annotated[
         float,
         described(
-            "Inflation uncertainty",
+            "Inflation error",
             "Standard deviation of the inflation.",
             unit="Pa",
             slider=(0.0, 1000.0),

@@ -51,8 +51,8 @@ _FIT: Final = (0.5, 3.0)
 _SMALLEST: Final = {
     "membrane": ("membrane.min_area_mm2", "Smallest contact"),
     "tolerance": ("outliers.min_cluster_area_mm2", "Smallest cluster"),
-    "dent": ("dent.min_area_mm2", "Smallest dent area"),
-    "pressure": ("pressure.min_area_mm2", "Smallest contact area"),
+    "dent": ("dent.min_area_mm2", "Smallest area"),
+    "pressure": ("pressure.min_area_mm2", "Smallest patch"),
 }
 
 
