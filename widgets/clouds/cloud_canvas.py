@@ -258,7 +258,7 @@ class SoftwareRenderer:
 
 
 def _largest_step(cloud: DepthCloud, look: Look) -> int:
-    """Return the step in rows and columns at which points still overlap in the middle, at the far end of the colours."""
+    """Return the step in rows and columns at which points overlap in the middle, at the far end of the colours."""
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
         return 1

@@ -176,7 +176,7 @@ class Form(QWidget):
     def align_columns(self) -> None:
         """Give labels, number fields and units equal widths: those behind the fold stand in a grid of their own."""
         rows = [row for row in self.rows.values() if not row.in_header]
-        entries = [row.widget.entry for row in rows if row.spec.kind == "number"]
+        entries = [row.editor.entry for row in rows if row.spec.kind == "number"]
         for widgets in ([row.label for row in rows], [row.unit for row in rows], entries):
             width = max((widget.sizeHint().width() for widget in widgets), default=0)
             for widget in widgets:

@@ -305,8 +305,8 @@ class ParameterPanel(QScrollArea):
         for name, test in CONTACT_TESTS.items():
             for section in test.sections:
                 self.sections[section].setVisible(name == self._value("contact_test"))
-        test = self.rows["contact_test"]
-        test.widget.setToolTip(f"{test.spec.tooltip}\n{CONTACT_TESTS[test.editor.value()].note}")
+        chosen = self.rows["contact_test"]
+        chosen.widget.setToolTip(f"{chosen.spec.tooltip}\n{CONTACT_TESTS[chosen.editor.value()].note}")
         for path, histogram in self.histograms.items():
             histogram.set_limit(self.rows[path].editor.value())
         self._enable_eyedroppers()

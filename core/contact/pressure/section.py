@@ -13,7 +13,7 @@ class PressureSection(Section):
     limit: Annotated[
         float,
         described(
-            "Lowest pressure",
+            "Pressure limit",
             "Contact is where the pressure of the object exceeds this share of the inflation. Noise raises it. A "
             "larger value gives a smaller patch.",
             unit="share",

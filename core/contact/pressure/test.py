@@ -61,7 +61,7 @@ class PressureTest(ContactTest):
     summary = "the membrane is curved less than its inflation would curve it; gives force; one camera suffices."
     note = "By the curvature since the untouched frame. Its window follows from the noise, so small contacts look wide."
     near_words = "carry a contact pressure"
-    looser_words = "lower the smallest pressure"
+    looser_words = "lower the pressure limit"
     drop_reasons = {
         Provenance.MASKED: MASK_REASON,
         Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact area"),

@@ -13,7 +13,7 @@ from ...errors import AdviceError
 from ...sources.base import Progress
 from .proposal import Evidence, Proposal
 
-_NAMES: Final = {"tolerance.t": "tolerance t", "dent.limit_m": "smallest dent", "pressure.limit": "smallest pressure"}
+_NAMES: Final = {"tolerance.t": "tolerance t", "dent.limit_m": "smallest dent", "pressure.limit": "pressure limit"}
 #: t covers this number of standard deviations of the noise of both depths: 95 % of the pixels.
 _T_SIGMAS: Final = 2.0
 
@@ -55,7 +55,7 @@ def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
     preset, untouched = evidence.preset, evidence.untouched
     if preset.noise is None or untouched is None:
         raise AdviceError(
-            "pressure: the noise of the camera and the untouched frame tell the smallest pressure; capture it and "
+            "pressure: the noise of the camera and the untouched frame tell the pressure limit; capture it and "
             "measure the noise (F6)"
         )
     in_use = preset.with_value("contact_test", "pressure")
