@@ -42,14 +42,14 @@ CURVES: Final = (
         "Force",
         "N",
         "Magnitude of the force in newtons, by the contact test pressure with a known inflation",
-        "Force in newtons needs the contact test pressure, its untouched frame and a known inflation",
+        "Needs the contact test pressure and its inflation",
     ),
     Curve(
         "force_mm2",
         "Force over inflation",
         "mm²",
         "Magnitude of the force over the inflation in mm², by the contact test pressure",
-        "Force needs the contact test pressure and its untouched frame",
+        "Needs the contact test pressure",
     ),
     Curve(
         "iou",
