@@ -28,7 +28,6 @@ from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
-from ...widgets.clouds.cloud_canvas import Place
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_labels import level
 from ...widgets.clouds.cloud_view import CloudView, as_place, link_cameras
@@ -199,8 +198,8 @@ class ViewArea(QWidget):
         with_pressure = any(side.patch is not None and side.patch.pressure is not None for side in sides)
         if with_pressure != (self.color_by.findData(ColorBy.PRESSURE) >= 0):
             self._offer_colors(with_pressure)
-        arrow = None if result.compared is not None or result.patch is None else force_arrow(result.patch)
-        self.views[CloudName.PATCH].set_arrow(arrow)
+        arrow = None if result.compared is not None or result.patch is None else result.patch.force_arrow_m
+        self.views[CloudName.PATCH].set_arrow(None if arrow is None else (as_place(arrow[0]), as_place(arrow[1])))
         for view in self.views.values():
             view.set_running(result.playback.playing)
         if result.compared is not None:
@@ -322,8 +321,6 @@ def _shown(name: CloudName, result: Result | ComparedSide) -> tuple[DepthCloud |
     return cloud, result.problem or result.rendered.no_contact
 
 
-#: A force has an arrow from this many of its standard deviations on.
-_SURE_SIGMAS = 2.0
 #: Rows of the tactile image that are enough for framing.
 _ROWS = 60
 #: Depths farther than this many interquartile ranges outside the quartiles are not the membrane (Tukey's fences,
@@ -340,21 +337,6 @@ def membrane_and_patch(result: Result) -> Float64Array:
     low, high = np.percentile(membrane[:, 2], (25, 75))
     reach = (0.5 + _FENCE) * (high - low) + _SLACK_M
     return np.concatenate([membrane[np.abs(membrane[:, 2] - (low + high) / 2) <= reach], patch])
-
-
-def force_arrow(patch: ContactPatch) -> tuple[Place, Place] | None:
-    """Return where the arrow of the force begins, at the centroid, and ends; None unless the force exceeds its noise.
-
-    It is as long as the radius of the disc on which the inflation presses with that force.
-    """
-    if patch.pressure is None or patch.centroid_m is None:
-        return None
-    size, sigma = patch.pressure.strength
-    force = np.array(patch.pressure.force_mm2)
-    if not size > _SURE_SIGMAS * sigma:
-        return None
-    along = force / math.sqrt(math.pi * float(np.linalg.norm(force))) * 1e-3
-    return patch.centroid_m, as_place(patch.centroid_m + along)
 
 
 def patch_points(patch: ContactPatch | None) -> Float64Array:

@@ -12,7 +12,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from .arrays import BoolArray, Float32Array, IndexArray, Uint8Array
+from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
 from .clouds import pixel_areas_m2
 from .files import finite_or_none
 from .frames import Rig
@@ -110,6 +110,10 @@ NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.floa
 
 #: A contact is doubtful below this probability that the membrane touches.
 SURE: Final = 0.9
+
+
+#: A force is shown as an arrow from this many of its standard deviations on.
+_FORCE_SIGMAS: Final = 2.0
 
 
 class Doubt(NamedTuple):
@@ -393,6 +397,28 @@ class ContactPatch:
     def force_n(self) -> tuple[float, float, float] | None:
         """Force of the object on the membrane, newtons; None for another contact test or an unknown inflation."""
         return None if self.pressure is None else self.pressure.force_n
+
+    @cached_property
+    def pressure_centre_m(self) -> Float64Array | None:
+        """Where the force acts: the mean of the points, weighted by their contact pressure; None without contact."""
+        if self.pressure is None or not len(self.points):
+            return None
+        weights = np.fmax(self.pressure.at_points.get(), 1e-6)
+        return np.asarray(np.average(self.points.astype(np.float64), axis=0, weights=weights))
+
+    @property
+    def force_arrow_m(self) -> Float64Array | None:
+        """Centre of pressure and tip of the force's arrow, (2, 3), metres; None where no force exceeds its noise.
+
+        The arrow is as long as the radius of the disc on which the inflation presses with that force.
+        """
+        if self.pressure is None or (centre := self.pressure_centre_m) is None:
+            return None
+        size, sigma = self.pressure.strength
+        if not size > _FORCE_SIGMAS * sigma:
+            return None
+        force_mm2 = np.array(self.pressure.force_mm2)
+        return np.stack([centre, centre + 1e-3 * force_mm2 / math.sqrt(math.pi * float(np.linalg.norm(force_mm2)))])
 
     @property
     def pressure_pa(self) -> Float32Array | None:

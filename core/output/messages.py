@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from ..sources.mcap.messages import (
 POSE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 VECTOR: Final = "geometry_msgs/msg/Vector3Stamped"
 WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
+MARKER: Final = "visualization_msgs/msg/Marker"
 NUMBER: Final = "std_msgs/msg/Float64"
 DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -50,6 +50,10 @@ STATIC_QOS: Final = """\
   liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
   avoid_ros_namespace_conventions: false
 """
+
+#: Width of an arrow's shaft, width and length of its head, metres, and its colour.
+_ARROW_M: Final = (0.004, 0.01, 0.012)
+_ARROW_RGBA: Final = (0.1, 0.45, 0.88, 1.0)
 
 #: Topics with one message, which players keep for late subscribers.
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
@@ -188,11 +192,41 @@ def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
     )
 
 
-def wrench(force_n: tuple[float, float, float], stamp_ns: int) -> bytes:
-    """Return a force in newtons, in the proximity depth frame; its torque, which is not known, is nan."""
+def wrench(force_n: tuple[float, float, float], place_m: Float64Array, stamp_ns: int) -> bytes:
+    """Return a force that acts at a place, and its torque about the origin of the proximity depth frame, N m."""
     of = _type("geometry_msgs/msg/Vector3")
-    both = _type("geometry_msgs/msg/Wrench")(of(*force_n), of(math.nan, math.nan, math.nan))
+    both = _type("geometry_msgs/msg/Wrench")(of(*force_n), of(*np.cross(place_m, force_n).tolist()))
     return _serialise(_type(WRENCH)(_header(PROXIMITY_FRAME, stamp_ns), both), WRENCH)
+
+
+def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
+    """Return an arrow between two places (2, 3) of the proximity depth frame, or the removal of the last one."""
+    kind, at, nothing = _type(MARKER), _type("geometry_msgs/msg/Point"), np.empty(0, np.uint8)
+    pose = _type("geometry_msgs/msg/Pose")(at(0.0, 0.0, 0.0), _quaternion(np.eye(4)))
+    return _serialise(
+        kind(
+            _header(PROXIMITY_FRAME, stamp_ns),
+            "force",
+            0,
+            kind.ARROW,
+            kind.DELETE if ends_m is None else kind.ADD,
+            pose,
+            _type("geometry_msgs/msg/Vector3")(*_ARROW_M),
+            _type("std_msgs/msg/ColorRGBA")(*_ARROW_RGBA),
+            _type("builtin_interfaces/msg/Duration")(0, 0),
+            False,
+            [] if ends_m is None else [at(*place) for place in ends_m.tolist()],
+            [],
+            "",
+            _type("sensor_msgs/msg/CompressedImage")(_header(PROXIMITY_FRAME, stamp_ns), "", nothing),
+            [],
+            "",
+            "",
+            _type("visualization_msgs/msg/MeshFile")("", nothing),
+            False,
+        ),
+        MARKER,
+    )
 
 
 def number(value: float) -> bytes:

@@ -62,6 +62,7 @@ class Topic(StrEnum):
     FINDINGS = "/contact/findings"
     WRENCH = "/contact/wrench"
     RELATIVE_FORCE = "/contact/relative_force_mm2"
+    FORCE_ARROW = "/contact/force_arrow"
     TILT = "/contact/tilt"
     TILT_SIGMA = "/contact/tilt_sigma"
     PROXIMITY_CLOUD = "/proximity/points"

@@ -36,7 +36,7 @@ TILT = Tilt(0, 0.0, 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_si
 def test_every_topic_arrives_bit_for_bit(processed):
     frame, patch, preset = processed
     patch = copy(patch)
-    patch.pressure = FORCE
+    patch.pressure = replace(FORCE, at_points=Lazy(lambda: np.ones(len(patch.points), np.float32)))
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
     built = frame_messages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
     posed = pose_messages(np.array(TURN), covariance, built.stamp_ns)
@@ -46,7 +46,15 @@ def test_every_topic_arrives_bit_for_bit(processed):
 
     force = seen["/contact/wrench"].wrench.force
     assert (force.x, force.y, force.z) == pytest.approx((0.15, 0.0, -3.0))
+    torque = seen["/contact/wrench"].wrench.torque
+    centre = patch.points.mean(axis=0, dtype=np.float64)
+    assert (torque.x, torque.y, torque.z) == pytest.approx(np.cross(centre, (0.15, 0.0, -3.0)), abs=1e-6)
     assert seen["/contact/relative_force_mm2"].vector.z == -2000.0
+    arrow = seen["/contact/force_arrow"]
+    start, end = ((each.x, each.y, each.z) for each in arrow.points)
+    assert (arrow.type, arrow.action) == (0, 0)
+    assert start == pytest.approx(tuple(centre), abs=1e-6)
+    assert np.cross(np.subtract(end, start), (100.0, 0.0, -2000.0)) == pytest.approx(0.0, abs=1e-9)
     assert len(patch.points) > 1000
     assert np.array_equal(points_of(seen["/contact/patch"])[0], patch.points)
     assert seen["/contact/area_mm2"].data == patch.area_mm2
