@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -16,6 +16,7 @@ from ..errors import FrameError
 from ..model.arrays import AnyArray, Float32Array, Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
+from ..model.patch import ContactPatch
 from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
@@ -57,6 +58,9 @@ _ARROW_RGBA: Final = (0.1, 0.45, 0.88, 1.0)
 
 #: Topics with one message, which players keep for late subscribers.
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
+
+#: Types of the topics of a force.
+FORCE_TOPICS: Final[dict[str, str]] = {Topic.WRENCH: WRENCH, Topic.RELATIVE_FORCE: VECTOR, Topic.FORCE_ARROW: MARKER}
 
 #: Types of the topics of a tracked object.
 POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS: TRANSFORMS}
@@ -227,6 +231,22 @@ def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
         ),
         MARKER,
     )
+
+
+def force_builders(patch: ContactPatch, stamp_ns: int) -> dict[str, Callable[[], bytes | None]]:
+    """Return by topic what builds each message of the force, or None where the contact test or its preset has none."""
+
+    def of_newtons() -> bytes | None:
+        place_m = patch.pressure_centre_m  # None: no contact, no force, no torque
+        place_m = np.zeros(3) if place_m is None else place_m
+        return None if patch.force_n is None else wrench(patch.force_n, place_m, stamp_ns)
+
+    facts = patch.pressure
+    return {
+        Topic.WRENCH: of_newtons,
+        Topic.RELATIVE_FORCE: lambda: None if facts is None else vector(*facts.force_mm2, stamp_ns),
+        Topic.FORCE_ARROW: lambda: None if facts is None else arrow(patch.force_arrow_m, stamp_ns),
+    }
 
 
 def number(value: float) -> bytes:

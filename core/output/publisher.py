@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Protocol
 
-import numpy as np
-
 from ..contact.alignment import tactile_pose
 from ..contact.pipeline import ContactPatch
 from ..errors import RigMismatchError
@@ -39,7 +37,7 @@ from ..sources.mcap.messages import (
     Topic,
 )
 from . import messages
-from .messages import DIAGNOSTICS, MARKER, NUMBER, POSE_TOPICS, VECTOR, WRENCH
+from .messages import DIAGNOSTICS, FORCE_TOPICS, NUMBER, POSE_TOPICS, VECTOR
 
 _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DEPTH, Topic.TACTILE_COLOR)
 
@@ -48,9 +46,7 @@ LIVE_TOPICS: Final[Mapping[str, str]] = {
     Topic.PATCH: POINT_CLOUD,
     Topic.AREA: NUMBER,
     Topic.DOUBT: DIAGNOSTICS,
-    Topic.WRENCH: WRENCH,
-    Topic.RELATIVE_FORCE: VECTOR,
-    Topic.FORCE_ARROW: MARKER,
+    **FORCE_TOPICS,
     Topic.TILT: VECTOR,
     Topic.TILT_SIGMA: VECTOR,
     **POSE_TOPICS,
@@ -200,14 +196,6 @@ def frame_messages(
         roll, pitch, axis = (math.nan if angle is None else angle for angle in found)
         return messages.vector(roll, pitch, axis, stamp_ns)
 
-    def wrench() -> bytes | None:
-        place_m = patch.pressure_centre_m  # None: no contact, no force, no torque
-        place_m = np.zeros(3) if place_m is None else place_m
-        return None if patch.force_n is None else messages.wrench(patch.force_n, place_m, stamp_ns)
-
-    def relative_force() -> bytes | None:
-        return None if patch.pressure is None else messages.vector(*patch.pressure.force_mm2, stamp_ns)
-
     def diagnostics() -> bytes:
         values = {f"{stage} ms": f"{ms:.3f}" for stage, ms in patch.stage_ms.items()} | {
             "frame": str(patch.sequence),
@@ -227,9 +215,7 @@ def frame_messages(
         Topic.PATCH: lambda: messages.point_cloud(patch.points, stamp_ns),
         Topic.AREA: lambda: messages.number(patch.area_mm2),
         Topic.DOUBT: lambda: messages.diagnostics("contact", doubt_values(patch.doubt), stamp_ns),
-        Topic.WRENCH: wrench,
-        Topic.RELATIVE_FORCE: relative_force,
-        Topic.FORCE_ARROW: lambda: None if patch.pressure is None else messages.arrow(patch.force_arrow_m, stamp_ns),
+        **messages.force_builders(patch, stamp_ns),
         Topic.TILT: lambda: angles(""),
         Topic.TILT_SIGMA: lambda: angles("_sigma"),
         Topic.STATIC_TRANSFORMS: transforms,

@@ -40,6 +40,7 @@ from ..sources.mcap.messages import (
     Topic,
 )
 from .messages import (
+    FORCE_TOPICS,
     POSE_TOPICS,
     SAID_ONCE,
     STATIC_QOS,
@@ -221,7 +222,7 @@ class PatchWriter:
 
 
 #: Patch and findings of a frame, as messages.
-Results = Callable[[SensorFrame], Mapping[Topic, bytes]]
+Results = Callable[[SensorFrame], Mapping[str, bytes]]
 
 #: Memory limit of the queue: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20
@@ -359,7 +360,7 @@ class SessionWriter:
     def _topics(self) -> dict[str, str]:
         topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
         topics |= POSE_TOPICS if self._has_poses else {}
-        topics |= {Topic.PATCH: POINT_CLOUD, Topic.FINDINGS: TEXT} if self._results is not None else {}
+        topics |= {Topic.PATCH: POINT_CLOUD, Topic.FINDINGS: TEXT, **FORCE_TOPICS} if self._results is not None else {}
         for stream in self._streams.values():
             topics[stream.topic] = IMAGE
             if stream.lens is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..contact.pipeline import ContactPipeline
 from ..model.frames import SensorFrame
-from ..output.messages import nanoseconds, point_cloud, text
+from ..output.messages import force_builders, nanoseconds, point_cloud, text
 from ..output.writer import export_mcap
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
@@ -30,15 +30,16 @@ def share_mcap(
     pipeline, examiner = ContactPipeline(preset, source.rig, untouched), Examiner(source.rig)
     number, sentences = 0, ""
 
-    def results(frame: SensorFrame) -> Mapping[Topic, bytes]:
+    def results(frame: SensorFrame) -> Mapping[str, bytes]:
         nonlocal number, sentences
         patch = pipeline.process(frame)
         if number % EXAMINED_EVERY == 0:
             found = examiner.findings(frame, patch, preset, untouched)
             sentences = "\n".join(finding.sentence for finding in found)
         number += 1
-        points = point_cloud(patch.points, nanoseconds(frame.proximity_time_s))
-        return {Topic.PATCH: points, Topic.FINDINGS: text(sentences)}
+        stamp_ns = nanoseconds(frame.proximity_time_s)
+        forces = {topic: data for topic, build in force_builders(patch, stamp_ns).items() if (data := build())}
+        return {Topic.PATCH: point_cloud(patch.points, stamp_ns), Topic.FINDINGS: text(sentences), **forces}
 
     return export_mcap(
         source,
