@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import QObject
 
 from ...core.errors import FrameError, PresetError, SourceError, counted
 from ...core.model.frames import SensorFrame
@@ -20,9 +20,8 @@ from ...core.rig.untouched import (
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.messages import Severity
 from ..context import Context
-from ..document.document import Document, UntouchedStore
+from ..document.document import UntouchedStore
 from ..worker.jobs import Job, Progress, Work
-from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
 from .gather import Gather
 
@@ -66,47 +65,28 @@ class UntouchedStep(Gather):
         return {"untouched": self.found.model_dump()}
 
 
-class UntouchedControls(QObject):
-    """Owns the store of untouched frames, and reads that of the present preset."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self.store = UntouchedStore(context.data_folder / "untouched")
-        self.store.tidy()
-        context.document.untouched_store = self.store
-        context.document.warned.connect(
-            lambda sentence: context.messages.show_message("untouched", Severity.WARNING, sentence)
-        )
-        self.keeper = UntouchedKeeper(context.document, context.worker.recorder, self.store, self)
-        context.worker.opened.connect(self.keeper.source_opened)
-
-    def close(self) -> None:
-        self.keeper.close()
-
-
 class UntouchedKeeper(QObject):
-    """Reads the untouched frame of the current preset, on its own thread.
+    """Owns the store of untouched frames, and reads that of the current preset on its own thread.
 
     A preset from a recording has no folder. Its untouched frame is copied from the recording to the store, and is
     saved from there.
-
-    Signals
-    -------
-    changed()
-        `frame` has changed.
     """
 
-    changed = pyqtSignal()
-
-    def __init__(self, document: Document, recorder: Recorder, store: UntouchedStore, parent: QObject) -> None:
-        super().__init__(parent)
-        self._document, self._recorder, self._store = document, recorder, store
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._document, self._recorder = context.document, context.worker.recorder
+        self._store = self._document.untouched_store = UntouchedStore(context.data_folder / "untouched")
+        self._store.tidy()
         self._info: SourceInfo | None = None
         self._key: object = None
         self._job = Job(self)
         self._job.done.connect(self._use)
-        document.presetChanged.connect(self._look)
-        document.fileChanged.connect(self._look)
+        self._document.presetChanged.connect(self._look)
+        self._document.fileChanged.connect(self._look)
+        self._document.warned.connect(
+            lambda sentence: context.messages.show_message("untouched", Severity.WARNING, sentence)
+        )
+        context.worker.opened.connect(self._source_opened)
         self._look()
 
     @property
@@ -118,7 +98,7 @@ class UntouchedKeeper(QObject):
     def busy(self) -> bool:
         return self._job.busy
 
-    def source_opened(self, info: SourceInfo) -> None:
+    def _source_opened(self, info: SourceInfo) -> None:
         self._info = info
         self._look()
 
@@ -138,7 +118,6 @@ class UntouchedKeeper(QObject):
 
     def _use(self, frame: SensorFrame | None) -> None:
         self._recorder.untouched = frame
-        self.changed.emit()
 
 
 def _read(

@@ -31,7 +31,7 @@ from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..document.keeping import Autosave
 from ..rig.set_up_panel import SetUpPanel, StepRow
-from ..rig.untouched import UntouchedControls
+from ..rig.untouched import UntouchedKeeper
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
 from ..sources.cameras_page import CAMERA_SCHEMES
@@ -116,10 +116,10 @@ class MainWindow(QMainWindow):
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
         self.topics = TopicsControl(self, self.dialogs, self.open_named, self._open_failed)
-        self.untouched = UntouchedControls(self.context)
+        self.untouched = UntouchedKeeper(self.context)
         self.watch = WatchControl(
             self.context,
-            self.untouched.keeper,
+            self.untouched,
             self.actions_.watch_drift,
             calibrate=self.calibration.open_wizard,
             capture=self.actions_.capture_untouched.trigger,
