@@ -61,5 +61,10 @@ class Context(QObject):
         self.trim: tuple[int, int] | None = None
         worker.playbackChanged.connect(self._note_playback)
 
+    @property
+    def source_name(self) -> str:
+        """The name of the source on the screen; empty before its first frame."""
+        return "" if self.result is None else self.result.source.name
+
     def _note_playback(self, state: PlaybackState) -> None:
         self.playback = state

@@ -9,14 +9,13 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, Q
 
 from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
-from ...core.model.frames import SensorFrame
-from ...widgets.basics.controls import push_button, wrapped_label
+from ...widgets.basics.controls import push_button
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
-from ..worker.worker import FrameFeed
+from ..context import Context
 from .pictures import picture
 from .session import ImageChoice, Session, SessionState, Snapshot
-from .snapshots import FRAMES, Collector
+from .snapshots import SnapshotStep
 
 _PREVIEW_MS = 80
 _THUMBNAIL = QSize(96, 72)
@@ -31,15 +30,18 @@ _ADVICE = (
     "Hold the membrane still and take a snapshot. Then change the inflation, or press deeper, and take another: "
     "two or three levels span depth, which a rigid alignment needs."
 )
-_NEXT = "Add another inflation level, or continue with the points."
 
 
 class FramesPage(QWidget):
     """A live preview of both cameras beside the list of snapshots. The wizard places the button ``take``."""
 
-    def __init__(self, session: Session, feed: FrameFeed, collector: Collector) -> None:
+    def __init__(self, session: Session, context: Context) -> None:
         super().__init__()
-        self._session, self._feed, self._collector = session, feed, collector
+        self._session, self._context = session, context
+        self.step = SnapshotStep(context, session.rig)
+        self.step.setParent(self)
+        self.step.hide()
+        self.take, self.note = self.step.start, self.step.sentence
         self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
         self._listed: tuple[str, ...] = ()
         self._redraw = QTimer(self)
@@ -48,13 +50,7 @@ class FramesPage(QWidget):
         self.seek = QSlider(Qt.Orientation.Horizontal)
         self.seek.setAccessibleName("Frame of the recording")
         self.seek.setToolTip("Frame of the recording")
-        self.take = push_button(
-            "Take snapshot",
-            f"Average {FRAMES} frames, or as many as show the membrane standing still, and add them as a snapshot "
-            "(Ctrl+T)",
-            shortcut="Ctrl+T",
-        )
-        self.note = wrapped_label(_ADVICE)
+        self.note.setText(_ADVICE)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.list = QListWidget()
@@ -75,33 +71,40 @@ class FramesPage(QWidget):
         for number, pane in enumerate(self.previews.values()):
             pane.view.setMinimumSize(160, 100)
             images.addWidget(pane, number // 2, number % 2)
-        left = vbox((images, 1), self.seek, self.note)
+        self.running = QWidget()
+        hbox((self.step.progress, 1), self.step.cancel, within=self.running, margins=0)
+        kept = self.running.sizePolicy()
+        kept.setRetainSizeWhenHidden(True)  # what stands above stays there
+        self.running.setSizePolicy(kept)
+        self.running.hide()
+        left = vbox((images, 1), self.seek, self.note, self.running)
         self.taken = QWidget()
         vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=self.taken, margins=0)
         self.taken.setFixedWidth(300)
         hbox((left, 1), self.taken, within=self, margins=(8, 8, 8, 4))
 
     def _connect(self) -> None:
-        collector, session = self._collector, self._session
-        self._feed.frameArrived.connect(self._frame_arrived)
+        session, step = self._session, self.step
+        self._context.frameShown.connect(self._frame_shown)
         self._redraw.timeout.connect(self._show_frame)
-        self.seek.valueChanged.connect(self._feed.seek)
-        self.take.clicked.connect(collector.start)
-        collector.progress.connect(self.note.setText)
-        collector.taken.connect(self._taken)
-        collector.failed.connect(self.note.setText)
+        self.seek.valueChanged.connect(self._context.worker.seek)
+        step.start.clicked.connect(lambda: self.running.setVisible(step.busy))
+        step.ended.connect(self._ended)
         session.changed.connect(self._show_state)
         self.list.currentRowChanged.connect(self._chosen)
         self.remove.clicked.connect(lambda: session.remove_snapshot(session.state.choices.snapshot))
 
     # Display
 
-    def _frame_arrived(self, _: SensorFrame) -> None:
+    def _frame_shown(self) -> None:
         if self.isVisible() and not self._redraw.isActive():
             self._redraw.start()
 
     def _show_frame(self) -> None:
-        frame, playback = self._feed.frame, self._feed.playback
+        result, rig = self._context.result, self._session.rig
+        if result is None or result.source.rig != rig:
+            return
+        frame, playback = result.frame, result.playback
         self.seek.setVisible(playback.seekable)
         if playback.length is not None and not self.seek.isSliderDown():
             with QSignalBlocker(self.seek):
@@ -112,7 +115,7 @@ class FramesPage(QWidget):
                 pane.set_pixels(None, (640, 480), 1)
                 pane.set_message("This camera has no colour image")
                 continue
-            shown = picture(frame, self._feed.rig, side, image)
+            shown = picture(frame, rig, side, image)
             height, width = shown.gray.shape
             pane.set_message("")
             pane.set_pixels(shown.pixels, (width, height), 1)
@@ -142,17 +145,14 @@ class FramesPage(QWidget):
         ]
         depths_m = centre[valid_depth(centre)] * self._session.rig.tactile.depth_unit_m
         words = snapshot.name + (f"\nmembrane at {1e3 * np.median(depths_m):.0f} mm" if len(depths_m) else "")
-        if snapshot.source not in {"", self._feed.info.name}:
+        if snapshot.source not in {"", self._context.source_name}:
             words += f"\n{snapshot.source}"
         return QListWidgetItem(QIcon(QPixmap.fromImage(thumbnail)), words)
 
-    def _taken(self, snapshot: Snapshot) -> None:
-        words = "Snapshot taken."
-        if snapshot.averaged < FRAMES:
-            end = "the membrane moves after them" if self._collector.moved_on else "the source has no more"
-            words = f"{snapshot.averaged} of {FRAMES} frames: {end}."
-        self.note.setText(f"{words} {_NEXT}")
-        self._session.add_snapshot(snapshot)
+    def _ended(self, taken: bool) -> None:
+        self.running.hide()
+        if taken:
+            self._session.add_snapshot(self.step.found)
 
     def _chosen(self, row: int) -> None:
         if row >= 0:

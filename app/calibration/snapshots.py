@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.calibration.snapshots import take_snapshot as take_median
 from ...core.model.clouds import valid_depth
-from ...core.model.frames import SensorFrame
-from ..worker.jobs import Job
+from ...core.model.frames import Rig, SensorFrame
+from ...widgets.basics.controls import push_button
+from ..context import Context
+from ..worker.jobs import Work
 from ..worker.results import SourceInfo
-from ..worker.worker import FrameFeed
+from .gather import Gather
 from .session import Snapshot
 
 #: Frames averaged for a snapshot: noise falls to a third.
@@ -38,71 +41,47 @@ def moved_m(before: SensorFrame, after: SensorFrame, unit_m: float) -> float:
     return float(np.percentile(np.abs(first[valid].astype(np.float64) - last[valid]) * unit_m, 95))
 
 
-class Collector(QObject):
-    """Averages a feed's next frames, also of a recording, into a snapshot while the membrane stands still."""
+class SnapshotStep(Gather):
+    """Averages the next frames, also of a recording, into a snapshot while the membrane stands still."""
 
-    progress = pyqtSignal(str)
-    taken = pyqtSignal(object)
-    failed = pyqtSignal(str)
+    at_rest = False
+    wanted = FRAMES
 
-    def __init__(self, feed: FrameFeed, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self._feed = feed
-        self._frames: list[SensorFrame] = []
-        self._gathering = False
-        self._before = feed.playback  # when the snapshot began
-        #: Whether the last snapshot ended where the membrane moves.
-        self.moved_on = False
-        self._job = Job(self)
-        self._job.done.connect(self.taken)
-        self._job.failed.connect(self.failed)
-        feed.frameArrived.connect(self._take)
+    def __init__(self, context: Context, rig: Rig) -> None:
+        tip = f"Average {FRAMES} frames, or as many as show the membrane standing still (Ctrl+T)"
+        super().__init__(context, push_button("Take snapshot", tip, "Ctrl+T"))
+        self._rig = rig
+        self._number = 0  # of the first frame
+        self._end = ""
 
-    def start(self) -> None:
-        """Take a snapshot; one that waits for frames begins anew."""
-        if self._gathering:
-            self._end_gathering()
-        self._frames, self._gathering, self.moved_on = [], True, False
-        self._before = self._feed.playback
-        if self._before.seekable and self._before.playing:
-            self._feed.pause()
-        self._take(self._feed.frame)
-        if self._gathering and not self._before.seekable:
-            self._feed.play()
-
-    def close(self) -> None:
-        """Stop permanently."""
-        if self._gathering:
-            self._end_gathering()
-        self._job.stop()
-
-    def _take(self, frame: SensorFrame) -> None:
-        if not self._gathering or any(frame is old for old in self._frames):
+    def begin(self) -> None:
+        result = self._context.result
+        if result is not None and result.source.rig != self._rig:
+            self._fail("Another rig is open now: close the wizard, and calibrate that one.")
             return
-        playback, expected = self._feed.playback, self._before.index + len(self._frames)
-        if playback.seekable and playback.index != expected:  # it played before it was paused
-            self._feed.seek(expected)
-            return
-        if self._frames and moved_m(self._frames[0], frame, self._feed.rig.tactile.depth_unit_m) > MOVED_LIMIT_M:
-            self.moved_on = True
-            self._average()
-            return
-        self._frames.append(frame)
-        self.progress.emit(f"Frame {len(self._frames)} of {FRAMES}…")
-        if len(self._frames) == FRAMES or playback.at_end:
-            self._average()
-        elif playback.seekable:
-            self._feed.seek(playback.index + 1)
+        self._number = 0 if result is None else result.frame_number
+        super().begin()
 
-    def _average(self) -> None:
-        frames, number = tuple(self._frames), self._before.index + 1
-        self._end_gathering()
-        self._job.start(lambda _: take_snapshot(frames, number, self._feed.info))
+    def share(self, kept: Sequence[SensorFrame]) -> float:
+        return 1.0 if self._still(kept) < len(kept) else super().share(kept)
 
-    def _end_gathering(self) -> None:
-        self._gathering, self._frames = False, []
-        if self._before.playing:
-            self._feed.play()
-        elif self._before.seekable:
-            self._feed.pause()
-            self._feed.seek(self._before.index)
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        still, number = self._still(kept), self._number
+        self._end = "the membrane moves after them" if still < len(kept) else "the source has no more"
+        return lambda _: take_snapshot(kept[: min(still, self.wanted)], number, info)
+
+    def _still(self, kept: Sequence[SensorFrame]) -> int:
+        """Return how many of the first frames belong together: until the membrane moves, or a recording begins anew."""
+        unit_m = self._rig.tactile.depth_unit_m
+        for number, (before, frame) in enumerate(pairwise(kept), 1):
+            if frame.sequence < before.sequence or moved_m(kept[0], frame, unit_m) > MOVED_LIMIT_M:
+                return number
+        return len(kept)
+
+    def show_found(self, found: Snapshot) -> None:
+        few = found.averaged < FRAMES
+        words = f"{found.averaged} of {FRAMES} frames: {self._end}." if few else "Snapshot taken."
+        self.sentence.setText(f"{words} Add another inflation level, or continue with the points.")
+
+    def changes(self) -> dict[str, Any]:
+        return {}

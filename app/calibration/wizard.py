@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, Qt, pyqtSignal
+from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
 
@@ -15,13 +15,12 @@ from ...core.calibration.check import compare_alignments, is_worse
 from ...core.calibration.points import read_points, write_points
 from ...core.calibration.report import CalibrationReport, grade
 from ...core.errors import TactuneError, counted
+from ...core.model.frames import Rig
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
-from ...widgets.basics.dialogs import Dialogs, bring_up
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import SOURCE, TASK, Context
-from ..document.document import Document
-from ..worker.worker import FrameFeed
 from .check_page import CheckPage
 from .fitting import Fitter, Outcome, at_least, missing_pairs, report_changes, with_depth
 from .frames_page import FramesPage
@@ -29,7 +28,6 @@ from .keeping import Keeper
 from .points_page import PointsPage
 from .quality_page import QualityPage
 from .session import Session, SessionState
-from .snapshots import Collector
 
 STEPS = ("Snapshots", "Points", "Quality", "Save")
 _TIPS = (
@@ -44,33 +42,23 @@ _POINTS = "Points (*.csv)"
 
 
 class CalibrationWizard(QDialog):
-    """Leads from frames of a source to an alignment in the document. Closing it loses nothing: ``folder`` keeps it."""
+    """Leads from frames of a source to an alignment in the document. Closing it loses nothing: a file keeps it."""
 
-    fileSaveRequested = pyqtSignal()  # the alignment is in the document, which is to be saved to its file
-
-    def __init__(
-        self,
-        feed: FrameFeed,
-        document: Document,
-        folder: Path,
-        dialogs: Dialogs,
-        parent: QWidget | None = None,
-    ) -> None:
-        super().__init__(parent)
+    def __init__(self, context: Context, rig: Rig) -> None:
+        super().__init__(context.window)
         self.setWindowTitle("Calibrate – Tactune")
         self.setWindowFlag(Qt.WindowType.WindowMaximizeButtonHint)
-        self._feed, self._document = feed, document
-        self._dialogs = dialogs.over(self)
+        self._context, self._document = context, context.document
+        self._dialogs = context.dialogs.over(self)
         self.outcome = Outcome()
         self._saved = False
-        self.session = Session(feed.rig, self)
-        self.keeper = Keeper(self.session, folder, self)
+        self.session = Session(rig, self)
+        self.keeper = Keeper(self.session, context.data_folder / "calibration", self)
         self.fitter = Fitter(self.session, self)
-        self.collector = Collector(feed, self)
-        self.frames = FramesPage(self.session, feed, self.collector)
+        self.frames = FramesPage(self.session, context)
         self.points = PointsPage(self.session)
         self.quality = QualityPage(self.session)
-        self.check = CheckPage(self.session, document)
+        self.check = CheckPage(self.session, context.document)
         self.pages: tuple[QWidget, ...] = (self.frames, self.points, self.quality, self.check)
         #: What a page offers to do before *Next*; both stand at the same place on every page.
         self.page_actions = {0: self.frames.take, 1: self.points.finder.search}
@@ -196,7 +184,7 @@ class CalibrationWizard(QDialog):
     def _elsewhere(self) -> bool:
         """Tell whether the snapshots are all of other sources than the open one."""
         sources = self.session.state.sources
-        return bool(sources) and self._feed.info.name not in sources
+        return bool(sources) and self._context.source_name not in sources
 
     def _offer(self, kept_at: datetime | None) -> None:
         """Say what was restored, and where it is of another source, as its membrane may be another one too."""
@@ -207,7 +195,7 @@ class CalibrationWizard(QDialog):
         held = f"{counted(len(state.pairs), 'pair')} and {counted(len(state.snapshots), 'snapshot')}"
         words = f"Restored the calibration{of} from {kept_at.astimezone():%d %B, %H:%M}: {held}."
         if elsewhere:
-            words += f" {self._feed.info.name} is open now: take new snapshots, or start over."
+            words += f" {self._context.source_name} is open now: take new snapshots, or start over."
         severity = Severity.WARNING if elsewhere else Severity.INFO
         self.messages.show_message("kept", severity, words, offers=[("Start over", self.start_over)])
 
@@ -326,7 +314,7 @@ class CalibrationWizard(QDialog):
         self._save_file()
 
     def _save_file(self) -> None:
-        self.fileSaveRequested.emit()
+        self._context.saveRequested.emit()
         if self._document.dirty:  # a new preset needs a file name first
             self.messages.show_message(
                 "saved",
@@ -354,7 +342,7 @@ class CalibrationWizard(QDialog):
         super().keyPressEvent(event)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
-        self.collector.close()
+        self.frames.step.close_down()
         for job in (self.fitter.job, self.points.finder.job, self.quality.job, self.check.job):
             job.stop()
         self.keeper.close()
@@ -376,14 +364,12 @@ _NO_FRAME = "There is no frame to calibrate on yet: open a source first."
 
 
 class CalibrationLauncher(QObject):
-    """Opens at most one wizard, and passes frames to it."""
+    """Opens at most one wizard."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self._feed: FrameFeed | None = None
         self.wizard: CalibrationWizard | None = None
-        context.frameShown.connect(self._frame_shown)
 
     def open_wizard(self) -> None:
         context = self._context
@@ -392,15 +378,7 @@ class CalibrationLauncher(QObject):
             return
         context.messages.clear_subject(TASK)
         if self.wizard is None:
-            self._feed = FrameFeed(context.worker, context.result, context.playback, self)
-            self.wizard = CalibrationWizard(
-                self._feed,
-                context.document,
-                context.data_folder / "calibration",
-                context.dialogs,
-                context.window,
-            )
-            self.wizard.fileSaveRequested.connect(context.saveRequested)
+            self.wizard = CalibrationWizard(context, context.result.source.rig)
             self.wizard.finished.connect(self._wizard_closed)
         bring_up(self.wizard)
 
@@ -408,13 +386,7 @@ class CalibrationLauncher(QObject):
         if self.wizard is not None:
             self.wizard.close()
 
-    def _frame_shown(self) -> None:
-        if self._feed is not None and self._context.result is not None:
-            self._feed.show_result(self._context.result)
-
     def _wizard_closed(self) -> None:
         if self.wizard is not None:
             self.wizard.deleteLater()
-        if self._feed is not None:
-            self._feed.deleteLater()
-        self.wizard, self._feed = None, None
+        self.wizard = None

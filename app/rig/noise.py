@@ -9,10 +9,10 @@ from ...core.preset import RigNoise
 from ...core.rig.noise import MIN_FRAMES, NOISE_FRAMES, describe, measure_noise
 from ...core.sources.base import part_of
 from ...widgets.basics.controls import push_button
+from ..calibration.gather import Gather
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import SourceInfo
-from .gather import Gather
 
 
 class NoiseStep(Gather):

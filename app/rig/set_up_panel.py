@@ -20,10 +20,10 @@ from ...core.sources.registry import open_source, opens_by_name
 from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push_button, text_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
+from ..calibration.gather import OTHER_SOURCE, Gather
 from ..context import Context
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
-from .gather import OTHER_SOURCE, Gather
 from .noise import NoiseStep
 from .set_up_steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
 from .untouched import UntouchedStep

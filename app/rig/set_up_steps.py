@@ -26,12 +26,12 @@ from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import push_button
 from ..calibration.finder import find_pairs
 from ..calibration.fitting import fit, report_changes
+from ..calibration.gather import Gather
 from ..calibration.session import Choices, SessionState
 from ..calibration.snapshots import FRAMES, take_snapshot
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import SourceInfo
-from .gather import Gather
 
 #: A press: image tiles that moved towards the camera by more than this, metres, are more than this share of all.
 _DENT_M, _DENTED = 0.005, 0.03

@@ -19,11 +19,11 @@ from ...core.rig.untouched import (
 )
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.messages import Severity
+from ..calibration.gather import Gather
 from ..context import Context
 from ..document.document import UntouchedStore
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
-from .gather import Gather
 
 
 class UntouchedStep(Gather):

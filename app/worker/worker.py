@@ -3,8 +3,7 @@
 A recording is read when a frame is due. A live source is read on its own thread, which stores the newest
 frame and wakes the worker, so orders are obeyed at once while no frame comes.
 
-The window never waits for the worker. Orders go in through a queue; results come out of a one-slot mailbox. A
-`FrameFeed` passes the frames on to other windows.
+The window never waits for the worker. Orders go in through a queue; results come out of a one-slot mailbox.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
-from ...core.model.frames import Rig, SensorFrame
+from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
 from ..document.comparison import Sides
 from .beside import BackgroundCompiler, Examination, StoredUntouched
 from .errors import explain, guarded
-from .playback import Playback, PlaybackState
+from .playback import Playback
 from .processing import FrameProcessor
 from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
 from .recorder import Recorder
@@ -406,53 +405,3 @@ def _publish(publisher: Publisher, result: Result) -> None:
     if patch is not None:
         tilt = Lazy(lambda: TiltEstimator(result.preset, patch.rig).estimate(patch).record())
         publisher.put(result.frame, patch, result.preset, tilt)
-
-
-class FrameFeed(QObject):
-    """The current source, its newest frame, and the controls that taking snapshots needs.
-
-    The main window, whose worker it is, continues to show the frames.
-
-    Signals
-    -------
-    frameArrived(SensorFrame)
-    playbackChanged()
-        `playback` has changed: playing, paused or frozen.
-    """
-
-    frameArrived = pyqtSignal(object)
-    playbackChanged = pyqtSignal()
-
-    def __init__(
-        self, worker: Worker, result: Result, playback: PlaybackState | None = None, parent: QObject | None = None
-    ) -> None:
-        super().__init__(parent)
-        shown = result.playback
-        self.info = result.source
-        self.frame: SensorFrame = result.frame
-        self.playback = replace(playback or shown, index=shown.index, length=shown.length)
-        self.play, self.pause, self.seek = worker.play, worker.pause, worker.seek
-        worker.playbackChanged.connect(self._playback_changed)
-
-    @property
-    def rig(self) -> Rig:
-        return self.info.rig
-
-    def show_result(self, result: Result) -> None:
-        """Deliver the frame of a result, unless it was delivered before or is of another rig."""
-        if result.frame is self.frame:
-            return
-        if result.source is not self.info:
-            if result.source.rig != self.info.rig:
-                return
-            self.info = result.source
-        self.deliver(result.frame, replace(self.playback, index=result.playback.index, length=result.playback.length))
-
-    def deliver(self, frame: SensorFrame, playback: PlaybackState) -> None:
-        self.frame, self.playback = frame, playback
-        self.frameArrived.emit(frame)
-
-    def _playback_changed(self, state: PlaybackState) -> None:
-        """Note a new state of playback; while the source is paused, no frame reports it."""
-        self.playback = replace(state, index=self.playback.index)
-        self.playbackChanged.emit()

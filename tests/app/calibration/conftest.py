@@ -10,19 +10,21 @@ import numpy.typing as npt
 import pytest
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QWidget
 from scipy.spatial.transform import Rotation
 
 from tactune.app.calibration.wizard import CalibrationWizard
+from tactune.app.context import Context
 from tactune.app.document.document import Document
 from tactune.app.settings import Settings
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.results import SourceInfo
-from tactune.app.worker.worker import FrameFeed, Worker
+from tactune.app.worker.worker import Worker
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.widgets.basics.dialogs import Dialogs
+from tactune.widgets.basics.messages import Messages
 
 WIDTH, HEIGHT = 320, 240
 FLAT_M, TALLEST_M = 0.33, 0.06
@@ -134,11 +136,18 @@ def frames(scene):
     return {level: scene.frame(number, level) for number, level in enumerate((0.2, 1.0))}
 
 
-@pytest.fixture
-def feed(scene, frames):
-    info, playback = SourceInfo("tiny", scene.rig, 2, 30.0), PlaybackState(index=0, length=2)
-    worker = Worker(Preset())  # never started, so that it answers no order
-    return FrameFeed(worker, SimpleNamespace(source=info, frame=frames[0.2], playback=playback))
+class Feed:
+    """What the main window would show, put on its screen by hand."""
+
+    def __init__(self, context, rig):
+        self.context, self.info = context, SourceInfo("tiny", rig, 2, 30.0)
+
+    def deliver(self, frame, playback):
+        number = playback.index + 1
+        self.context.playback = playback
+        self.context.result = SimpleNamespace(source=self.info, frame=frame, playback=playback, frame_number=number)
+        self.context.frameShown.emit()
+        self.context.worker.recorder.put(frame)
 
 
 @pytest.fixture
@@ -147,12 +156,22 @@ def document():
 
 
 @pytest.fixture
-def open_wizard(qtbot, feed, document, tmp_path):
+def feed(qtbot, scene, frames, document, tmp_path):
+    window, settings = QWidget(), Settings(tmp_path / "window.json")
+    qtbot.addWidget(window)
+    worker = Worker(Preset())  # never started, so that it answers no order
+    dialogs = Dialogs(None, settings, native=False)
+    made = Feed(Context(document, worker, Messages(window), dialogs, settings, tmp_path, window), scene.rig)
+    made.deliver(frames[0.2], PlaybackState(index=0, length=2))
+    return made
+
+
+@pytest.fixture
+def open_wizard(qtbot, feed):
     opened = []
 
     def open_it():
-        dialogs = Dialogs(None, Settings(tmp_path / "window.json"), native=False)
-        wizard = CalibrationWizard(feed, document, tmp_path / "kept", dialogs)
+        wizard = CalibrationWizard(feed.context, feed.info.rig)
         opened.append(wizard)
         wizard.resize(1240, 760)
         wizard.show()

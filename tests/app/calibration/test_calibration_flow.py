@@ -52,6 +52,7 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     take_first(wizard, feed, frames, qtbot)
     first = state().choices.snapshot
     press_button(wizard.frames.take)
+    feed.deliver(frames[0.2], PlaybackState(index=0, length=2))
     qtbot.waitUntil(lambda: len(state().snapshots) == 2)
     second = state().choices.snapshot
     press_button(wizard.next)
@@ -130,7 +131,7 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     assert "depth" in wizard.quality.reason.text()
     assert wizard.quality.grade.text() in {"Good", "Usable"}
     press_button(wizard.next)
-    with qtbot.waitSignal(wizard.fileSaveRequested):
+    with qtbot.waitSignal(feed.context.saveRequested):
         press_button(wizard.save)
     assert document.undo_stack.count() == 1
 
@@ -184,6 +185,7 @@ def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, fra
     take_first(wizard, feed, frames, qtbot)
     press_button(wizard.leave)
     feed.info = replace(feed.info, name="other")
+    feed.deliver(frames[0.2], PlaybackState(index=0, length=2))
 
     again = open_wizard()
     assert again.stack.currentIndex() == 0, "the page on which snapshots of this source are taken"

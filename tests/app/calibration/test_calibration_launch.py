@@ -66,7 +66,7 @@ def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, qtbot, mon
     assert wizard.session.state.snapshots[0].averaged == 6
     window.worker.play()
     qtbot.waitUntil(lambda: window.transport.state.playing)
-    with qtbot.waitSignal(wizard.collector.taken):
+    with qtbot.waitSignal(wizard.frames.step.ended):
         wizard.frames.take.click()
     qtbot.waitUntil(lambda: window.transport.state.playing)
 

@@ -30,7 +30,7 @@ def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, s
     wizard = open_wizard()
     fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed), sigma_px=0.3))
     wizard.go_to(SAVE)
-    with qtbot.waitSignal(wizard.fileSaveRequested):
+    with qtbot.waitSignal(feed.context.saveRequested):
         QTest.mouseClick(wizard.save, LEFT)
     before = document.preset.alignment
     fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed, dots=range(0, 63, 16))))
@@ -50,7 +50,7 @@ def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard
     fitted(qtbot, wizard, state)
     wizard.go_to(SAVE)
     for _ in range(2):
-        with qtbot.waitSignal(wizard.fileSaveRequested):
+        with qtbot.waitSignal(feed.context.saveRequested):
             QTest.mouseClick(wizard.save, LEFT)
     fewer = state.__class__(state.snapshots, state.pairs[:4]).with_choices(snapshot=state.choices.snapshot)
     fitted(qtbot, wizard, fewer)
@@ -80,7 +80,7 @@ def test_a_file_that_was_not_saved_is_said_and_saved_later(open_wizard, scene, f
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
     QTest.keyClick(wizard, Qt.Key.Key_S, CONTROL)  # nobody answers the request, as if the dialog were cancelled
     assert "file is not saved yet" in wizard.messages.message("saved").sentence
-    wizard.fileSaveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
+    feed.context.saveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
     press(wizard.messages.message("saved"), "Save preset")
     assert not document.dirty
     assert "tiny.json" in wizard.messages.message("saved").sentence

@@ -9,7 +9,8 @@ from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, at_rest, tiny_frame
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
-from tactune.app.rig import gather, untouched
+from tactune.app.calibration import gather
+from tactune.app.rig import untouched
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.rig.untouched import average_untouched, load_untouched
