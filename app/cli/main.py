@@ -52,6 +52,7 @@ EXAMPLES = {
     "preset findings": "tactune preset findings --source sim",
     "preset capture-untouched": "tactune preset capture-untouched --source cameras: --preset cup.json",
     "preset measure-rig": "tactune preset measure-rig --source cameras: --preset cup.json",
+    "preset calibrate-force": "tactune preset calibrate-force --source press.mcap --forces scale.csv --preset cup.json",
     "preset create-rig": "tactune preset create-rig images --proximity L515 --tactile D405",
 }
 #: A wrong option or argument; click, which raises it, is typer's own or a package, depending on typer's version.

@@ -1,4 +1,4 @@
-"""The commands ``tactune preset new | show | validate | schema | capture-untouched | measure-rig``."""
+"""The commands ``tactune preset new | show | validate | schema`` and those that measure the rig into a preset."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ from .common import (
     chosen_preset,
     counted_out,
     find_rig,
+    live_frames,
+    number_of_frames,
+    open_pipeline,
     open_with_progress,
     parse_settings,
     refuse_existing,
     say,
+    stop_on_signals,
     tell_notes,
     warn,
 )
@@ -171,6 +175,67 @@ def measure_rig(
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
         return
     save_changed(chosen.with_value("noise", noise.model_dump()), origin, target)
+    say(f"wrote {target}")
+
+
+@preset_commands.command("calibrate-force", short_help="Measure the inflation from presses on a scale.")
+def calibrate_force(
+    *,
+    source: Annotated[str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames in which an object presses.")],
+    forces: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="A CSV file with the columns frame or time_s (since the first frame), and force_n: what a scale or a "
+            "force sensor read.",
+        ),
+    ],
+    preset: PresetOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
+    ] = None,
+) -> None:
+    """Measure the pressure of the inflation from presses of known force, and store it in a preset.
+
+    The contact test pressure then gives newtons and pascals. One firm press suffices; more show how well they follow.
+    """
+    from ...core.rig.inflation import Press, fit_inflation, read_forces
+
+    target = out or (None if preset is None else Path(preset))
+    if target is not None:
+        check_target(target, preset)
+    log = read_forces(forces)
+    chosen, origin = chosen_preset(preset, source)
+    presses: list[Press] = []
+    unused: list[str] = []
+    start_s: float | None = None
+    measuring = chosen.with_value("contact_test", "pressure")
+    with open_pipeline(source, measuring, origin) as (opened, pipeline), stop_on_signals() as stopped:
+        total = number_of_frames(opened, None)
+        with CliProgress() as progress:
+            for done, frame in enumerate(live_frames(opened, total, stopped)):
+                progress.frames(done + 1, total)
+                start_s = frame.proximity_time_s if start_s is None else start_s
+                force_n = log.of(frame, start_s)
+                if force_n is None:
+                    continue
+                try:
+                    presses.append(Press.of(pipeline.process(frame), frame.sequence, force_n))
+                except CalibrationError as error:
+                    unused.append(str(error))
+    if stopped.is_set():
+        raise KeyboardInterrupt
+    if not presses:
+        raise CalibrationError(unused[0] if unused else f"no row of {forces} belongs to a frame of {source}")
+    if unused:
+        warn(f"{len(unused)} of {counted(len(unused) + len(presses), 'force')} not used: {unused[0]}")
+    found = fit_inflation(presses)
+    say(found.sentence)
+    if target is None:
+        warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
+        return
+    save_changed(chosen.with_values(found.changes), origin, target)
     say(f"wrote {target}")
 
 

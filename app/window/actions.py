@@ -134,6 +134,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("check_drift", "Check for &drift…", "Ctrl+Shift+K", "Check alignment and membrane on this frame"),
         Row("watch_drift", "&Watch for drift", tip="Warn when a camera moved or the pressure changed", checked=True),
         Row("measure_noise", "&Measure noise and bias…", "F6", "Measure both cameras' noise and bias, for the preset"),
+        Row("calibrate_force", "Calibrate f&orce…", tip="Measure the inflation from presses on a scale, for newtons"),
     ),
     "&Analysis": (
         Submenu("tabs", ""),  # the analysis tabs stand here, without a menu of their own

@@ -30,6 +30,7 @@ from ..calibration.wizard import CalibrationLauncher
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..document.keeping import Autosave
+from ..rig.force_window import ForceWindow
 from ..rig.set_up_panel import SetUpPanel, StepRow
 from ..rig.untouched import UntouchedKeeper
 from ..rig.watch_control import WatchControl
@@ -74,6 +75,8 @@ _COLLAPSED_AT_FIRST = "alignment,range,region"
 
 class MainWindow(QMainWindow):
     """Shows both sensors and the patch live. It computes nothing: the `Worker` does, and draws what is visible."""
+
+    force: ForceWindow | None = None  # made when it is first opened
 
     def __init__(self, preset: Preset, settings: Settings, data_folder: Path, native_dialogs: bool = True) -> None:
         super().__init__()
@@ -255,6 +258,7 @@ class MainWindow(QMainWindow):
         actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.check_drift.triggered.connect(self.watch.open)
+        actions.calibrate_force.triggered.connect(self._calibrate_force)
         actions.measure_noise.triggered.connect(lambda: self._come_to(self.set_up.noise))
         actions.findings.triggered.connect(self.rail.focus_first)
         actions.publish.triggered.connect(self._show_publishing)
@@ -392,6 +396,11 @@ class MainWindow(QMainWindow):
         self.actions_.show_panel.setChecked(True)
         self.modes.choose(Mode.SET_UP)
         self.set_up.choose(step)
+
+    def _calibrate_force(self) -> None:
+        if self.force is None:
+            self.force = ForceWindow(self.context)
+        bring_up(self.force)
 
     def _show_color_image(self) -> None:
         if self.views.enlarged is not self.strip.panes["color"]:

@@ -203,3 +203,26 @@ def test_the_mask_is_drawn_as_it_was_used_in_half_of_the_light(pressed, preset):
     assert bright.sum() > 1000
     assert (bright & dark).sum() / (bright | dark).sum() > 0.8
     assert share_dark == pytest.approx(share, rel=0.2)
+
+
+def test_force_is_calibrated_by_presses_on_a_scale(shown, qtbot, pressed):
+    truth = pressed[2].truth
+    shown.actions_.calibrate_force.trigger()
+    window = shown.force
+    qtbot.waitUntil(window.isVisible)
+    window.force.setFocus()
+    window.force.selectAll()
+    QTest.keyClicks(window.force, f"{np.linalg.norm(truth.force_n):.3f}")
+    QTest.mouseClick(window.add, Qt.MouseButton.LeftButton)
+    assert window.note.text() and not window.table.records()  # another contact test tells no force
+    edit(shown, qtbot, contact_test="pressure")
+    QTest.mouseClick(window.add, Qt.MouseButton.LeftButton)
+    assert len(window.table.records()) == 1
+    QTest.mouseClick(window.apply, Qt.MouseButton.LeftButton)
+    section = shown.document.preset.pressure
+    assert abs(section.gauge_pa - truth.inflation_pa) < 2 * section.gauge_sigma_pa
+    QTest.keyClick(window, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert shown.document.preset.pressure.gauge_pa == 0.0
+    window.table.selectAll()
+    QTest.keyClick(window.table, Qt.Key.Key_Delete)
+    assert not window.table.records() and not window.apply.isEnabled() and not window.verdict.text()

@@ -64,3 +64,17 @@ def test_the_untouched_frame_goes_with_the_preset(tactune, wall, mine, tmp_path)
     assert copied.name == "mine"
     assert load_untouched(copied.untouched, out).tactile_depth.shape == (HEIGHT, WIDTH)
     assert load_preset(mine).noise is None
+
+
+def test_the_inflation_is_measured_from_a_log_of_forces(tactune, mine, tmp_path):
+    log = tmp_path / "scale.csv"
+    log.write_text("frame,force_n\n0,22.5\n1,22.6\n")
+    finished = tactune(
+        "preset", "calibrate-force", "--source", "sim:cup?press=medium", "--forces", log, "--preset", mine
+    )
+    assert finished.status == 0 and finished.out.splitlines()[-1] == f"wrote {mine}"
+    section = load_preset(mine).pressure
+    assert 1000 < section.gauge_pa < 4000 and section.gauge_sigma_pa > 0.05 * section.gauge_pa
+    log.write_text("frame,force_n\n400,22.5\n")
+    finished = tactune("preset", "calibrate-force", "--source", "sim:cup?press=medium", "--forces", log)
+    assert finished.status == 2 and str(log) in finished.err
