@@ -226,7 +226,7 @@ def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
 
 
 def _line(patch: ContactPatch, frame: SensorFrame, scores: Record) -> str:
-    """Return a frame for people: number, time, area and centroid, doubt, processing time."""
+    """Return a frame for people: number, time, area and centroid, doubt, force (over inflation), processing time."""
     parts = ["no contact"]
     if patch.centroid_m is not None:
         x, y, z = (1000 * coordinate for coordinate in patch.centroid_m)
@@ -235,6 +235,8 @@ def _line(patch: ContactPatch, frame: SensorFrame, scores: Record) -> str:
             f"{patch.area_mm2:7,.0f} mm2 at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
             f"touches {math.floor(100 * patch.doubt.touch_probability)} %",
         ]
+        if patch.pressure is not None and (force := patch.pressure.words()):
+            parts.append(f"force {force}".replace("²", "2"))
         if math.isfinite(patch.doubt.boundary_error_mm):
             parts.append(f"boundary within {patch.doubt.boundary_error_mm:.1f} mm")
     parts += [f"{key} {value:.3f}{TRUTH_KEYS[key]}" for key, value in scores.items() if type(value) is float]

@@ -31,6 +31,7 @@ def as_python(document: Document, source: str) -> str:
     """Return the program, which prints a line for each frame."""
     origin, values = _preset_of(document, source)
     changes = f".with_values({pformat(values, sort_dicts=False)})" if values else ""
+    force = ", patch.force_n" if document.preset.contact_test == "pressure" else ""
     return f"""\
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.rig.untouched import {_finder(document)}
@@ -41,7 +42,7 @@ with open_source({source!r}, cameras=preset.cameras) as source:
     pipeline = ContactPipeline(preset, source.rig, untouched)
     for frame in source:
         patch = pipeline.process(frame)
-        print(patch.sequence, len(patch.points), patch.area_mm2, patch.centroid_m)
+        print(patch.sequence, len(patch.points), patch.area_mm2, patch.centroid_m{force})
 """
 
 

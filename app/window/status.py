@@ -36,13 +36,8 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
             edge = f"±{doubt.boundary_error_mm:.1f} mm"
     force = []
     if patch is not None and patch.pressure is not None:
-        known = patch.pressure.inflation_pa > 0
-        (size, sigma), unit = patch.pressure.strength, "N" if known else "mm²"
-        digits = 2 if known and size < 10 else 1 if known else 0
-        shown = result.area_mm2 > 0 and math.isfinite(size)
-        value = f"{size:,.{digits}f} ± {sigma:,.{digits}f} {unit}" if shown else _UNKNOWN
-        caption, widest = ("force", "00.00 ± 0.00 N") if known else ("force over inflation", "00,000 ± 0,000 mm²")
-        force = [Reading(value, caption, widest)]
+        names = ("force over inflation", "00,000 ± 0,000 mm²") if patch.force_n is None else ("force", "00.00 ± 0.00 N")
+        force = [Reading((result.area_mm2 > 0 and patch.pressure.words()) or _UNKNOWN, *names)]
     rate = f"{shown_fps:.0f} fps" if result.playback.playing else _UNKNOWN
     return (
         Reading(area, "area", "00,000 mm²"),

@@ -221,6 +221,12 @@ class PressureFacts:
         along = (each * spread for each, spread in zip(force, sigma, strict=True))
         return size, math.hypot(*along) / size if size else math.hypot(*sigma)
 
+    def words(self) -> str:
+        """Return magnitude and standard deviation of the force with their unit; empty where they are not known."""
+        size, sigma = self.strength
+        digits, unit = (0, "mm²") if self.inflation_pa <= 0 else (2 if size < 10 else 1, "N")
+        return f"{size:,.{digits}f} ± {sigma:,.{digits}f} {unit}" if math.isfinite(size) else ""
+
     def _newtons(self, area_mm2: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (1e-6 * self.inflation_pa * each for each in area_mm2)
         return x, y, z
