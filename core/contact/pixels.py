@@ -127,10 +127,18 @@ class Pixels:
         column, row = (np.rint(part).clip(0, size - 1).astype(np.intp) for part, size in ((u, width), (v, height)))
         return np.asarray(row * width + column)
 
-    def candidates(self, frame: SensorFrame, tolerance: float) -> Candidates:
-        """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's."""
+    def candidates(
+        self, frame: SensorFrame, tolerance: float, within: tuple[int, int, int, int] | None = None
+    ) -> Candidates:
+        """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's.
+
+        ``within``, if given, is left, top, right and bottom of a rectangle outside of which none is wanted.
+        """
         height, width = frame.proximity_depth.shape
         images, test, workspace = depth_images(frame), self.test(tolerance), self.workspace
+        if within is not None:
+            ends = zip((max, max, min, min), self.region, within, strict=True)
+            test = test._replace(region=kernels.Region(*(closer(own, other) for closer, own, other in ends)))
         tiles, possible = self.coarse.tiles(images, test.limits)
         if possible == 0:
             return NO_CANDIDATES

@@ -26,14 +26,14 @@ class PressureSection(Section):
     share: Annotated[
         float,
         described(
-            "Share of largest",
-            "Contact ends where the pressure falls below this share of the largest pressure of the same contact (its "
-            "90 % quantile). A larger value gives a smaller patch.",
+            "Edge flatness",
+            "Contact ends where the membrane is less flat than this share: 0 is as round as the free membrane, 1 is "
+            "flat. A larger value gives a smaller patch.",
             slider=(0.0, 0.95),
             step=0.01,
             limits=(0.0, 1.0),
         ),
-    ] = 0.5
+    ] = 0.4
     noise: Annotated[
         float,
         described(

@@ -11,7 +11,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float64Array, Uint16Array
+from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
+from ...model.clouds import valid_depth
 from ...model.intrinsics import Intrinsics
 from ..kernels.quadric import solve_quadrics
 
@@ -24,18 +25,35 @@ _POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
 class Grid(NamedTuple):
-    """The rays of the cells' centres, x / z and y / z, (H, W), and the cell's side over the focal length."""
+    """The cells about the membrane: rays of their centres, x / z and y / z, (H, W), and side over the focal length."""
 
     x: Float64Array
     y: Float64Array
     side: tuple[float, float]
+    pixels: tuple[slice, slice]  # Rows and columns of the image that the cells cover
 
     @classmethod
-    def of(cls, lens: Intrinsics) -> Grid:
-        rows, columns = lens.height // CELL_PX, lens.width // CELL_PX
-        v, u = np.mgrid[:rows, :columns] * CELL_PX + (CELL_PX - 1) / 2
-        rays = lens.normalise(np.stack([u, v], axis=-1).reshape(-1, 2)).reshape(rows, columns, 2)
-        return cls(rays[..., 0], rays[..., 1], (CELL_PX / lens.fx, CELL_PX / lens.fy))
+    def of(cls, lens: Intrinsics, counts: Uint16Array) -> Grid:
+        """Return the cells that hold the pixels with depth, and a frame of two cells."""
+        seen = [np.flatnonzero(valid_depth(counts).any(axis=axis)) // CELL_PX for axis in (1, 0)]
+        sizes = (size // CELL_PX for size in counts.shape)
+        ranges = [
+            (max(int(found[0]) - 2, 0), min(int(found[-1]) + 3, size)) for found, size in zip(seen, sizes, strict=True)
+        ]
+        v, u = np.mgrid[tuple(slice(*each) for each in ranges)] * CELL_PX + (CELL_PX - 1) / 2
+        rays = lens.normalise(np.stack([u, v], axis=-1).reshape(-1, 2)).reshape(*u.shape, 2)
+        rows, columns = (slice(CELL_PX * first, CELL_PX * end) for first, end in ranges)
+        return cls(rays[..., 0], rays[..., 1], (CELL_PX / lens.fx, CELL_PX / lens.fy), (rows, columns))
+
+    def to_image(self, values: Float64Array | BoolArray, shape: tuple[int, int]) -> Float32Array:
+        """Return values of the cells on the pixels of an image, interpolated; nan beyond the cells."""
+        import cv2
+
+        rows, columns = self.pixels
+        image = np.full(shape, np.nan, np.float32)
+        size = columns.stop - columns.start, rows.stop - rows.start
+        image[self.pixels] = cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        return image
 
     def points(self, depth_m: Float64Array) -> Float64Array:
         return np.stack([self.x * depth_m, self.y * depth_m, depth_m], axis=-1)
@@ -87,12 +105,16 @@ def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool =
     usable = seen > (_WINDOW_SHARE if curved else _DEPTH_SHARE)
     solve_quadrics(matrix, right, usable, np.empty((7, 6)), found, growth)
     scale = np.array([1.0, sigma, sigma, sigma**2, sigma**2, sigma**2])[:, None, None]
-    # over a whole window the inverse has 1 / 2 for xx and for yy
-    return Shape(found / scale, seen, np.sqrt(np.maximum(growth, 1.0)))
+    sums = [power.sum() for power in powers]
+    whole = np.linalg.inv([[sums[a + c] * sums[b + d] for c, d in _POWERS] for a, b in _POWERS])
+    return Shape(found / scale, seen, np.sqrt(np.maximum(growth / (whole[3, 3] + whole[5, 5]), 1.0)))
 
 
-def curvature(shape: Shape, grid: Grid) -> Float64Array:
-    """Return twice the mean curvature, 1/m, positive where the membrane bulges away from the camera; nan if unknown."""
+def curvature(shape: Shape, grid: Grid) -> tuple[Float64Array, Float64Array]:
+    """Return twice the mean curvature and the larger principal one, 1/m; nan if unknown.
+
+    They are positive where the membrane bulges away from the camera.
+    """
     (du, dv), (z, zu, zv, zuu, zuv, zvv) = grid.side, shape.fit
     zu, zv, zuu, zuv, zvv = zu / du, zv / dv, 2 * zuu / du**2, zuv / (du * dv), 2 * zvv / dv**2
     x, y = grid.x, grid.y
@@ -107,7 +129,10 @@ def curvature(shape: Shape, grid: Grid) -> Float64Array:
     normal = np.cross(p_u, p_v, axis=0)
     area = np.sqrt((normal**2).sum(0))
     low, mid, high = (normal * p_uu).sum(0) / area, (normal * p_uv).sum(0) / area, (normal * p_vv).sum(0) / area
-    return np.asarray(-(e * high - 2 * f * mid + g * low) / (e * g - f * f))
+    square = e * g - f * f
+    mean = -(e * high - 2 * f * mid + g * low) / square / 2
+    apart = np.sqrt(np.maximum(mean * mean - (low * high - mid * mid) / square, 0.0))
+    return np.asarray(2 * mean), np.asarray(mean + apart)
 
 
 def balance(points: Float64Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -3,7 +3,7 @@
 At rest the inflation p and the tension T balance, p = T 2H, with the mean curvature H (Young-Laplace). Where an object
 presses with q, the membrane is flatter: q = p - T 2H. The untouched frame gives p / T at each place, the free membrane
 of the present frame the factor by which p / T has changed since, so a change of the inflation is no contact. The window
-over which curvature is averaged follows from the noise of the camera.
+over which curvature is averaged follows from the noise of the camera. Where contact ends, `_Now.contact` explains.
 
 The force follows from the balance of the membrane around a contact, see `surface.balance`, which needs slopes only.
 
@@ -32,8 +32,13 @@ if TYPE_CHECKING:
 
 #: Contact pressure exceeds its noise by this many standard deviations, and the membrane has moved by more, metres.
 PRESSURE_SIGMAS, _MOVED_M = 3.0, 0.0007
-#: Window of the curvature, cells: smallest and largest; that of the slopes; first window, before the noise is known.
-_WINDOWS, _SLOPE_WINDOW = (1.5, 6.0), 1.5
+#: Window of the curvature, cells: smallest and largest; that of the slopes and of the edge of contact.
+_WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.5
+#: Near the rim, windows are cut, and other errors than noise grow: the limit grows by this power of the noise's growth.
+_CUT_POWER: Final = 4
+#: How flat the membrane is, at the edge of contact, is limited to this range and averaged over this window, cells: an
+#: edge of the object bends it far more than a face does.
+_FLATNESS, _EDGE_WINDOW = (-0.5, 1.2), 1.25
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
@@ -43,8 +48,10 @@ _MARGIN, _RAMP, _REACH = 2.0, 3.0, 10.0
 _BOTH_SHARE: Final = 0.05
 #: Error of the force by the model, share: tension that differs with direction and place.
 _MODEL_SHARE: Final = 0.05
-#: Largest share of a contact pressure in a contact that tells where it ends.
-_QUANTILE: Final = 0.9
+#: A contact too small to look flat ends at this share of its largest pressure, which is this quantile.
+_SMALL_SHARE, _QUANTILE = 0.5, 0.9
+#: Beyond this many standard deviations a cell tells nothing of the free membrane.
+_CUT: Final = 2.5
 
 
 class PressureTest(ContactTest):
@@ -91,7 +98,7 @@ class PressureTest(ContactTest):
             self._touching = now.contact(preset.pressure)
             self._seen = NO_CANDIDATES
             if self._touching.any():
-                self._seen = pixels.candidates(frame, _BOTH_SHARE)
+                self._seen = pixels.candidates(frame, _BOTH_SHARE, self._place(rest))
             inside = self._at_pixels(self._touching, frame, self._seen)
             self._pressed = Candidates(self._seen.pixels[inside], self._seen.points[inside])
         if due("clusters"):
@@ -107,16 +114,31 @@ class PressureTest(ContactTest):
         groups = self._touching, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
+    def _place(self, rest: _Rest) -> tuple[int, int, int, int] | None:
+        """Return left, top, right and bottom of the pixels around the contact; None where only depth tells them."""
+        if self.pixels.rig.has_proximity:
+            return None
+        from .surface import CELL_PX
+
+        found = (np.flatnonzero(self._touching.any(axis=axis)) for axis in (1, 0))
+        (top, bottom), (left, right) = (
+            (CELL_PX * (int(cells[0]) - 1) + side.start, CELL_PX * (int(cells[-1]) + 2) + side.start)
+            for cells, side in zip(found, rest.grid.pixels, strict=True)
+        )
+        return left, top, right, bottom
+
     def _at_pixels(self, cells: BoolArray, frame: SensorFrame, seen: Candidates) -> BoolArray:
         if not len(seen):
             return np.zeros(0, np.bool_)
-        smooth = _enlarged(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape)
+        assert self._rest is not None
+        smooth = self._rest.grid.to_image(cells, self.pixels.rig.tactile.intrinsics.shape)
         return np.asarray(smooth.reshape(-1)[self.pixels.tactile_pixels(seen.pixels, frame)] > 0.5)
 
     def _images(self, cells: Float64Array, contact: Candidates, frame: SensorFrame) -> dict[str, Lazy[Float32Array]]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
-        rig = self.pixels.rig
-        on_membrane = Lazy(lambda: _enlarged(cells.astype(np.float32), rig.tactile.intrinsics.shape))
+        assert self._rest is not None
+        rig, grid = self.pixels.rig, self._rest.grid
+        on_membrane = Lazy(lambda: grid.to_image(cells, rig.tactile.intrinsics.shape))
 
         def at(pixels: IndexArray) -> Float32Array:
             return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
@@ -166,12 +188,15 @@ class _Rest:
         from . import surface
 
         assert pixels.untouched is not None
-        lens, tables = pixels.rig.tactile.intrinsics, pixels.alignment.tables
+        lens, tables, counts = pixels.rig.tactile.intrinsics, pixels.alignment.tables, pixels.untouched.tactile_depth
         self.unit_m, self.offset_m = float(tables.tactile_unit_m), float(preset.alignment.depth_offset_m)
-        self.grid: Grid = surface.Grid.of(lens)
         self.turn = np.eye(3) if not pixels.rig.has_proximity else tactile_pose(preset.alignment, pixels.rig)[:3, :3]
-        depth_m, share = surface.cells(pixels.untouched.tactile_depth, self.unit_m, self.offset_m)
-        if not (share > 0).any():
+        seen = valid_depth(counts).any()
+        if seen:
+            self.grid: Grid = surface.Grid.of(lens, counts)
+            depth_m, share = surface.cells(counts[self.grid.pixels], self.unit_m, self.offset_m)
+            seen = (share > 0).any()
+        if not seen:
             raise RigMismatchError(
                 "the untouched frame has no tactile depth, so the contact test pressure has nothing to compare with; "
                 "capture it again"
@@ -179,7 +204,7 @@ class _Rest:
         distance_m = float(np.median(depth_m[share > 0]))
         self.cell_m = surface.CELL_PX * distance_m / lens.fx
         self.noise_known = preset.noise is not None
-        first = surface.fit(depth_m, share, _SLOPE_WINDOW)
+        first = surface.fit(depth_m, share, _FINE_WINDOW)
         if preset.noise is not None:
             known = preset.noise.tactile
             self.density_m4 = known.density_m4(lens.fx) * (distance_m / known.distance_m) ** 6
@@ -187,7 +212,7 @@ class _Rest:
             left = (depth_m - first.fit[0])[np.isfinite(first.fit[0]) & (share > 0)]
             spread_m = 1.48 * float(np.median(np.abs(left))) if len(left) else 0.0
             self.density_m4 = (_GUESSED * spread_m * self.cell_m) ** 2
-        wide = surface.curvature(surface.fit(depth_m, share, 4.0), self.grid)
+        wide = surface.curvature(surface.fit(depth_m, share, 4.0), self.grid)[0]
         curved = wide[np.isfinite(wide)]
         self.curvature_per_m = float(np.median(curved)) if len(curved) else math.nan
         if not self.curvature_per_m > _MIN_CURVATURE_PER_M:
@@ -200,7 +225,7 @@ class _Rest:
         self.window = min(max(window, _WINDOWS[0]), _WINDOWS[1])
         self.sigma_per_m = self.bend_noise / (self.window * self.cell_m) ** 3
         self.shape: Shape = surface.fit(depth_m, share, self.window)
-        self.bulge_per_m = surface.curvature(self.shape, self.grid)
+        self.bulge_per_m = surface.curvature(self.shape, self.grid)[0]
 
     @property
     def bend_noise(self) -> float:
@@ -215,27 +240,57 @@ class _Now:
         from . import surface
 
         self._rest = rest
-        self._depth_m, self._share = surface.cells(frame.tactile_depth, rest.unit_m, rest.offset_m)
-        shape = surface.fit(self._depth_m, self._share, rest.window)
-        self._shape, self.bulge_per_m = shape, surface.curvature(shape, rest.grid)
+        self._depth_m, self._share = surface.cells(frame.tactile_depth[rest.grid.pixels], rest.unit_m, rest.offset_m)
+        self._shape = surface.fit(self._depth_m, self._share, rest.window)
+        self.bulge_per_m = surface.curvature(self._shape, rest.grid)[0]
+        self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(self._depth_m, self._share, _FINE_WINDOW, curved=False))
         with np.errstate(invalid="ignore", divide="ignore"):
-            self._moved_m = rest.shape.fit[0] - shape.fit[0]
+            self._moved_m = rest.shape.fit[0] - self._shape.fit[0]
             ratio = np.where(rest.bulge_per_m > 0.2 * rest.curvature_per_m, self.bulge_per_m / rest.bulge_per_m, np.nan)
-            self._sigma = rest.sigma_per_m / rest.bulge_per_m * shape.growth
-        self.grown, self.relative = _against_free(ratio, self._sigma)
+            sigma = rest.sigma_per_m / rest.bulge_per_m * self._shape.growth
+        self.grown, self.relative, scatter = _against_free(ratio, sigma)
+        # what the measured noise does not explain, such as tension that differs with place, counts as noise
+        self._sigma = sigma * max(scatter, 1.0)
 
     def contact(self, section: PressureSection) -> BoolArray:
-        """Return the cells that carry contact pressure, each contact down to a share of its largest."""
+        """Return the cells in contact.
+
+        Where a pressure exceeds the noise there is contact. Its edge is where the membrane stops being flat: free, it
+        bulges in one direction at least, T1 k1 + T2 k2 = p, however unequal the tensions; on an object that is not
+        hollow it bulges in none. A contact too small to look flat ends where its pressure falls.
+        """
         import cv2
 
         with np.errstate(invalid="ignore", divide="ignore"):
-            limit = np.maximum(section.limit, PRESSURE_SIGMAS * self._sigma / self.grown)
+            noise = self._sigma / self.grown * self._shape.growth**_CUT_POWER
+            limit = np.maximum(section.limit, PRESSURE_SIGMAS * noise)
             pressed = (self.relative > limit) & (self._moved_m > _MOVED_M)
+            if not pressed.any():
+                return np.asarray(pressed, np.bool_)
+            flat = (self._flatness() > section.share) & (self._moved_m > 0)
+        touching = _parts_with(flat, pressed)
         count, labels = cv2.connectedComponents(pressed.view(np.uint8), connectivity=8)
         for number in range(1, count):
             own = labels == number
-            pressed[own] = self.relative[own] >= section.share * np.quantile(self.relative[own], _QUANTILE)
-        return np.asarray(pressed, np.bool_)
+            if not (own & touching).any():
+                touching |= own & (self.relative >= _SMALL_SHARE * np.quantile(self.relative[own], _QUANTILE))
+        return touching
+
+    def _flatness(self) -> Float64Array:
+        """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""
+        import cv2
+
+        from . import surface
+
+        largest = surface.curvature(self._fine.get(), self._rest.grid)[1]
+        flatness = 1 - 2 * largest / (self.grown * self._rest.bulge_per_m)
+        known = np.isfinite(flatness)
+        size = (2 * math.ceil(2.5 * _EDGE_WINDOW) + 1,) * 2
+        total, weight = (
+            cv2.GaussianBlur(image, size, _EDGE_WINDOW, borderType=cv2.BORDER_CONSTANT)
+            for image in (np.where(known, np.clip(flatness, *_FLATNESS), 0.0), known.astype(np.float64))
+        )
+        return np.where(known, total / np.maximum(weight, 1e-9), np.nan)
 
     def facts(self, touching: BoolArray, preset: Preset, images: dict[str, Lazy[Float32Array]]) -> PressureFacts:
         """Return map and force, that of all contacts together, in the proximity depth frame."""
@@ -246,7 +301,7 @@ class _Now:
         rest, section = self._rest, preset.pressure
         force, sigma, at_rim = np.zeros(3), np.zeros(3), False
         if touching.any():
-            slopes = surface.fit(self._depth_m, self._share, _SLOPE_WINDOW, curved=False).fit[0]
+            slopes = self._fine.get().fit[0]
             depth_m = np.where(np.isfinite(slopes), slopes, self._shape.fit[0])
             away = cv2.distanceTransform((~touching).view(np.uint8), cv2.DIST_L2, 5)
             weight = np.clip(1 - (away - _MARGIN) / _RAMP, 0.0, 1.0)
@@ -261,7 +316,7 @@ class _Now:
             # tension from a few independent windows, slopes along the loop, and the model
             windows = max(np.count_nonzero(free) / (4 * math.pi * rest.window**2), 1.0)
             loop_m = rest.cell_m * 2 * math.sqrt(math.pi * np.count_nonzero(weight > 0))
-            narrow_m3 = (_RAMP * rest.cell_m) ** 2 * math.sqrt(math.pi) * _SLOPE_WINDOW * rest.cell_m
+            narrow_m3 = (_RAMP * rest.cell_m) ** 2 * math.sqrt(math.pi) * _FINE_WINDOW * rest.cell_m
             by_slopes = math.sqrt(rest.density_m4 * loop_m / narrow_m3) / bulge
             by_tension = np.abs(pull) / bulge * rest.sigma_per_m / bulge / math.sqrt(windows)
             by_model = _MODEL_SHARE * float(np.linalg.norm(force)) * (2.0 if at_rim else 1.0)
@@ -282,38 +337,40 @@ class _Now:
         )
 
 
-def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Float64Array]:
-    """Return the growth of p / T in the free membrane, and 1 less each cell's ratio over it: the relative pressure."""
+def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Float64Array, float]:
+    """Return the growth of p / T in the free membrane, 1 less each cell's ratio over it, and the scatter there.
+
+    The relative pressure is 1 less the ratio; the scatter is that of the free membrane as a multiple of ``sigma``.
+    """
     import cv2
 
-    free = np.isfinite(ratio)
-    if not free.any():
-        return 1.0, np.full_like(ratio, np.nan)
-    grown = float(np.median(ratio[free]))
-    for _ in range(3):
-        if grown <= 0:
-            break
+    known = np.isfinite(ratio) & np.isfinite(sigma)
+    nothing = np.full_like(ratio, np.nan)
+    if not known.any():
+        return 1.0, nothing, 1.0
+    free, grown, scatter = known, 1.0, 1.0
+    for _ in range(4):
+        grown = float(np.median(ratio[free]))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            away = (ratio - grown) / sigma
+        scatter = 1.48 * float(np.median(np.abs(away[free])))
         with np.errstate(invalid="ignore"):
-            pressed = (1 - ratio / grown > 2 * sigma / grown) & free
-        near = cv2.dilate(pressed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        left = free & ~near
-        if np.count_nonzero(left) < 0.1 * np.count_nonzero(free):
+            # both ends are cut, lest the rest be one-sided; a contact is left out with what surrounds it
+            pressed = known & (away < -_CUT * scatter)
+            left = known & (np.abs(away) <= _CUT * scatter)
+        left &= cv2.dilate(pressed.view(np.uint8), np.ones((5, 5), np.uint8)) == 0
+        if np.count_nonzero(left) < 0.1 * np.count_nonzero(known):
             break
-        grown = float(np.median(ratio[left]))
+        free = left
     # without inflation nothing tells a contact pressure
-    return grown, np.asarray(1 - ratio / grown) if grown > 0 else np.full_like(ratio, np.nan)
+    return grown, np.asarray(1 - ratio / grown) if grown > 0 else nothing, scatter
 
 
-def _enlarged(cells: Float32Array, shape: tuple[int, int]) -> Float32Array:
-    """Return an image of cells on pixels, interpolated; 0 or nan beyond the last whole cell."""
+def _parts_with(cells: BoolArray, seeds: BoolArray) -> BoolArray:
+    """Return the connected parts of some cells that hold a seed."""
     import cv2
 
-    from .surface import CELL_PX
-
-    size = cells.shape[1] * CELL_PX, cells.shape[0] * CELL_PX
-    image = np.asarray(cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR), np.float32)
-    if image.shape == shape:
-        return image
-    whole = np.full(shape, 0 if not np.isnan(cells).any() else np.nan, np.float32)
-    whole[: image.shape[0], : image.shape[1]] = image
-    return whole
+    labels = np.asarray(cv2.connectedComponents(cells.view(np.uint8), connectivity=8)[1])
+    chosen = np.zeros(int(labels.max()) + 1, np.bool_)
+    chosen[labels[seeds & cells]] = True
+    return np.asarray(chosen[labels])

@@ -39,10 +39,12 @@ def spherical(rig, radius_m, apex_m=0.3, seed=None):
 
 def test_a_sphere_has_its_curvature_and_carries_no_force():
     rig = Rig.of_one_camera(simulator_rig().tactile)
-    grid = surface.Grid.of(rig.tactile.intrinsics)
-    depth_m, share = surface.cells(spherical(rig, 0.2).tactile_depth, 1e-4, 0.0)
-    bulge = surface.curvature(surface.fit(depth_m, share, 2.0), grid)
+    counts = spherical(rig, 0.2).tactile_depth
+    grid = surface.Grid.of(rig.tactile.intrinsics, counts)
+    depth_m, share = surface.cells(counts, 1e-4, 0.0)
+    bulge, largest = surface.curvature(surface.fit(depth_m, share, 2.0), grid)
     assert np.nanmedian(bulge) == pytest.approx(2 / 0.2, rel=0.01)
+    assert np.nanmedian(largest) == pytest.approx(1 / 0.2, rel=0.02)
     assert np.nanstd(bulge) < 0.3
     rows, columns = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
     weight = np.clip((22 - np.hypot(rows - 28, columns - 42)) / 8, 0, 1)
@@ -87,13 +89,15 @@ def test_without_the_inflation_figures_stay_relative_and_say_so(pressed):
     assert record["force_n"] is record["inflation_pa"] is None
 
 
-def test_unchanged_steps_are_skipped_and_a_change_of_the_limit_finds_less(pressed):
+def test_unchanged_steps_are_skipped_and_a_larger_value_finds_less(pressed):
     rig, preset, frame, untouched = pressed
     pipeline = ContactPipeline(preset, rig, untouched)
     first = pipeline.process(frame)
     assert set(pipeline.process(frame).stage_ms.values()) == {0.0}
-    pipeline.update(preset.with_value("pressure.limit", 1.0))
-    assert len(pipeline.process(frame).points) < len(first.points)
+    pipeline.update(preset.with_value("pressure.share", 0.8))
+    assert 0 < len(pipeline.process(frame).points) < len(first.points)
+    pipeline.update(preset.with_value("pressure.limit", 20.0))
+    assert not len(pipeline.process(frame).points)
     with pytest.raises(RigMismatchError, match="untouched frame"):
         ContactPipeline(preset, rig).process(frame)
 
