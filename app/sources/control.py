@@ -6,13 +6,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QCheckBox, QDialog, QDialogButtonBox, QLabel, QWidget
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection, dialog_buttons, wrapped_label
-from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.layouts import STRETCH, scrolling, vbox
 from ...widgets.basics.messages import Severity
@@ -95,17 +94,21 @@ def option_spec(option: CameraOption) -> FieldSpec:
 
 
 class CameraPanel(QDialog):
-    """Shows the settings of both cameras; stays open beside the main window."""
+    """Shows the settings of both cameras; stays open beside the main window.
 
-    optionEdited = pyqtSignal(str, str, float, int)  # camera, name, value, gesture
-    delayEdited = pyqtSignal(float, int)  # seconds, gesture
+    A setting is an undoable edit of the preset, and every change of the preset is sent to the cameras.
+    """
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, context: Context) -> None:
+        super().__init__(context.window)
         self.setWindowTitle("Camera settings")
+        self._context = context
+        self._worker, self._document, self._messages = context.worker, context.document, context.messages
+        self._cameras = self._document.preset.cameras
+        self._options: tuple[CameraOption, ...] = ()
+        self._source = ""
         self.rows: dict[tuple[CameraRole, str], OptionRow] = {}
         self.delay = ParameterRow(field_spec(Preset, DELAY_PATH))
-        self._options: tuple[CameraOption, ...] = ()
         self._sections = {role: CollapsibleSection(title) for role, title in _TITLES.items()}
         self._bodies: dict[CameraRole, QWidget] = {}
         timing, column = CollapsibleSection("Timing"), QWidget()
@@ -113,81 +116,47 @@ class CameraPanel(QDialog):
         vbox(*self._sections.values(), timing, STRETCH, within=column, margins=4)
         for role, section in self._sections.items():
             vbox(within=section.body, margins=0)
-            self._replace_body(role, _note(_NO_SETTINGS))
+            self._rebuild(role, [])
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.rejected.connect(self.close)
         vbox((scrolling(column), 1), buttons, within=self)
-        self.delay.edited.connect(lambda _, value, gesture: self.delayEdited.emit(float(value), gesture))
         self.resize(460, 620)
+        self.delay.edited.connect(lambda _, value, gesture: self._document.edit(DELAY_PATH, float(value), gesture))
+        self._document.presetChanged.connect(self._preset_changed)
+        self._worker.opened.connect(self._opened)
+        self._worker.optionsChanged.connect(self._show_options)
+        self._worker.optionRefused.connect(
+            lambda sentence: self._messages.show_message("camera option", Severity.WARNING, sentence)
+        )
+        self._show_options(())
 
-    def set_cameras(self, cameras: CamerasSection) -> None:
+    def _show_options(self, options: tuple[CameraOption, ...]) -> None:
         """Show the preset's values; an option without one shows the camera's value."""
-        self.delay.show_value(cameras.tactile_delay_s)
-        for (role, name), row in self.rows.items():
-            row.show_number(getattr(cameras, role).options.get(name, row.option.value))
-
-    def set_options(self, options: tuple[CameraOption, ...], cameras: CamerasSection) -> None:
-        before, self._options = self._options, options
+        before, self._options, cameras = self._options, options, self._document.preset.cameras
         for role in _TITLES:
             present, former = ([each for each in some if each.camera == role] for some in (options, before))
             if [replace(option, value=0.0) for option in present] != [replace(option, value=0.0) for option in former]:
                 self._rebuild(role, present)
+        self.delay.show_value(cameras.tactile_delay_s)
         for option in options:
-            self.rows[option.camera, option.name].option = option
-        self.set_cameras(cameras)
+            row, kept = self.rows[option.camera, option.name], _kept(cameras, option)
+            row.option = option
+            row.show_number(option.value if kept is None else kept)
 
     def _rebuild(self, role: CameraRole, options: list[CameraOption]) -> None:
-        self.rows = {key: row for key, row in self.rows.items() if key[0] != role}
         rows = {(role, option.name): OptionRow(option) for option in options}
         for (_, name), row in rows.items():
-            row.chosen.connect(partial(self.optionEdited.emit, role, name))
-        self.rows |= rows
-        self._replace_body(role, Form(rows.values()) if rows else _note(_NO_SETTINGS))
-
-    def _replace_body(self, role: CameraRole, body: QWidget) -> None:
+            row.chosen.connect(partial(self._edit, role, name))
+        self.rows = {key: row for key, row in self.rows.items() if key[0] != role} | rows
         if (old := self._bodies.get(role)) is not None:
             old.hide()
             old.deleteLater()
-        self._bodies[role] = body
+        body = self._bodies[role] = Form(rows.values()) if rows else _note(_NO_SETTINGS)
         layout = self._sections[role].body.layout()
         assert layout is not None
         layout.addWidget(body)
 
-
-def _note(text: str) -> QLabel:
-    label = wrapped_label(text)
-    label.setContentsMargins(8, 4, 8, 8)
-    return label
-
-
-class CameraControl(QObject):
-    """Makes a setting an undoable edit of the preset, and sends every change of the preset to the cameras."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._context = context
-        self._worker, self._document, self._messages = context.worker, context.document, context.messages
-        self._cameras = self._document.preset.cameras
-        self._options: tuple[CameraOption, ...] = ()
-        self._source = ""
-        self.panel = CameraPanel(context.window)
-        self.panel.set_cameras(self._cameras)
-        self.panel.optionEdited.connect(self._option_edited)
-        self.panel.delayEdited.connect(lambda value, gesture: self._document.edit(DELAY_PATH, value, gesture))
-        self._document.presetChanged.connect(self._preset_changed)
-        self._worker.opened.connect(self._opened)
-        self._worker.optionsChanged.connect(self._options_changed)
-        self._worker.optionRefused.connect(
-            lambda sentence: self._messages.show_message("camera option", Severity.WARNING, sentence)
-        )
-
-    def show_panel(self) -> None:
-        bring_up(self.panel)
-
-    def close(self) -> None:
-        self.panel.close()
-
-    def _option_edited(self, role: CameraRole, name: str, value: float, gesture: int) -> None:
+    def _edit(self, role: CameraRole, name: str, value: float, gesture: int) -> None:
         options = dict(getattr(self._document.preset.cameras, role).options)
         default = next((o.default for o in self._options if (o.camera, o.name) == (role, name)), None)
         if value == default:
@@ -200,8 +169,7 @@ class CameraControl(QObject):
         before, self._cameras = self._cameras, preset.cameras
         if before == preset.cameras:
             return
-        self._options = tuple(self._sent(option, before) for option in self._options)
-        self.panel.set_options(self._options, preset.cameras)
+        self._show_options(tuple(self._sent(option, before) for option in self._options))
         if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERA_SCHEMES):
             self._messages.show_message(
                 "cameras",
@@ -224,9 +192,11 @@ class CameraControl(QObject):
         self._messages.clear("cameras")
         self._messages.clear("camera option")
 
-    def _options_changed(self, options: tuple[CameraOption, ...]) -> None:
-        self._options = options
-        self.panel.set_options(options, self._document.preset.cameras)
+
+def _note(text: str) -> QLabel:
+    label = wrapped_label(text)
+    label.setContentsMargins(8, 4, 8, 8)
+    return label
 
 
 def _kept(cameras: CamerasSection, option: CameraOption) -> float | None:

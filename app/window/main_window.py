@@ -36,7 +36,7 @@ from ..rig.untouched import UntouchedKeeper
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
 from ..sources.cameras_page import CAMERA_SCHEMES
-from ..sources.control import CameraControl
+from ..sources.control import CameraPanel
 from ..sources.opening import OpenControl
 from ..sources.pages import RECENT
 from ..sources.topics import WITHOUT_TOPICS, TopicsControl
@@ -116,7 +116,7 @@ class MainWindow(QMainWindow):
         self.timeline = Timeline(self.context, self.time_strip)
         self.export = Export(self.context, self.export_bar, self.views)
         self.calibration = CalibrationLauncher(self.context)
-        self.cameras = CameraControl(self.context)
+        self.cameras = CameraPanel(self.context)
         self.sources = OpenControl(self.context)
         self.topics = TopicsControl(self, self.dialogs, self.open_named, self._open_failed)
         self.untouched = UntouchedKeeper(self.context)
@@ -268,7 +268,7 @@ class MainWindow(QMainWindow):
         self.modes.modeChanged.connect(self._send_wanted)
         actions.open_source.triggered.connect(self.sources.open)
         actions.cameras.triggered.connect(self.sources.open_cameras)
-        actions.camera_settings.triggered.connect(self.cameras.show_panel)
+        actions.camera_settings.triggered.connect(partial(bring_up, self.cameras))
         actions.capture_untouched.triggered.connect(lambda: self._come_to(self.set_up.untouched))
         actions.suggest_all.triggered.connect(lambda: self.suggest.open(ALL))
         actions.recordings_folder.triggered.connect(

@@ -136,7 +136,7 @@ def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
 @pytest.fixture
 def panel(window, cameras, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F4)
-    made = window.cameras.panel
+    made = window.cameras
     qtbot.waitUntil(lambda: made.isVisible() and len(made.rows) == 5)
     return made
 
