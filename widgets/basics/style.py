@@ -60,7 +60,8 @@ QToolButton[autoRaise="true"] { border: 1px solid transparent; border-radius: 4p
 QToolButton[autoRaise="true"]:checked { background: $border; border-color: $outline; }
 QLineEdit, QAbstractSpinBox, QComboBox, QPlainTextEdit, QTextEdit {
     background: $base; border: 1px solid $outline; border-radius: 4px; padding: 0 2px; }
-QComboBox { background: $button; padding: 2px 4px; }
+QComboBox { background: $button; padding: 2px 4px; combobox-popup: 0; }
+QComboBox QAbstractItemView { background: $base; selection-background-color: $accent; selection-color: $on_accent; }
 QLineEdit:focus, QAbstractSpinBox:focus, QComboBox:focus { border-color: $focus; }
 QLineEdit:disabled, QAbstractSpinBox:disabled, QComboBox:disabled { border-color: $border; color: $disabled; }
 QAbstractSpinBox QLineEdit, QComboBox QLineEdit { border: none; }
