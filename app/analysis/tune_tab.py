@@ -1,4 +1,4 @@
-"""The tab Tune: a search for preset values on the open recording, with the front of time against error."""
+"""The tab Tune: a search for preset values on the open recording, and the trials that no other beats."""
 
 from __future__ import annotations
 
@@ -23,15 +23,33 @@ from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.fields import field_spec, format_number
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
-from ...widgets.plots.trade_off import Dot, TradeOffPlot
+from ...widgets.basics.record_table import Column, RecordTable
 from ..context import Context
 from ..document.comparison import Side
 from ..document.document import field_title
 from ..worker.results import Result
 from .tab import AnalysisTab
 
-#: What is optimised beside the time, with ground truth and without.
-_TITLES: Final = {"rmse": "RMSE (mm)", "stability": "Stability"}
+
+def _name(trial: dict[str, Any]) -> str:
+    return "Present preset" if trial["present"] else f"Trial {trial['number']}"
+
+
+def _values(trial: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{field_title(path)} {field_spec(Preset, path).describe(value)}" for path, value in trial["values"].items()
+    )
+
+
+_COLUMNS: Final = (
+    Column("Trial", _name, "Number of the trial", sample="Present preset"),
+    Column(
+        "Error", lambda trial: trial["figures"].get("rmse", trial["figures"].get("stability")),
+        "RMSE in mm with ground truth, else how much the patch changes while nothing moves", 3,
+    ),
+    Column("ms", lambda trial: trial["figures"]["ms"], "Time per frame on one thread, milliseconds", 2),
+    Column("Values", _values, hint=_values, stretch=True),
+)  # fmt: skip
 _WAITING = "Waiting for a frame: open a recording, a folder or the simulator in the main window."
 _READY = "Start searches the ticked fields for less error and less time. The present preset is the first trial."
 _LIVE = "A live source is never the same twice: record it first, then open the recording."
@@ -147,7 +165,7 @@ def frames_of(trim: Sequence[int] | None, length: int, count: int, index: int, h
 
 
 class TuneTab(AnalysisTab):
-    """Starts a search, draws its trials, previews one, and puts it into the preset."""
+    """Starts a search, lists its best trials, previews one, and puts it into the preset."""
 
     def __init__(self, context: Context) -> None:
         super().__init__()
@@ -155,8 +173,9 @@ class TuneTab(AnalysisTab):
         self._result: Result | None = None
         self._previewed: Side | None = None
         self.run = TuneRun(context.data_folder / "searches", self)
-        self.plot, self.status, self.pointed = TradeOffPlot(), ElidedLabel(_WAITING), ElidedLabel()
-        self.messages = Messages(self.plot)
+        self.table = RecordTable(_COLUMNS, "Best trials", key=lambda trial: trial["number"], sortable=True)
+        self.status = ElidedLabel(_WAITING)
+        self.messages = Messages(self.table)
         self.fields: dict[str, QCheckBox] = {}
         self._axes: dict[str, Axis] = {}
         self.trials, self.frames = QSpinBox(), QSpinBox()
@@ -170,9 +189,8 @@ class TuneTab(AnalysisTab):
         self.start.clicked.connect(self._start)
         self.stop.clicked.connect(self._stop)
         self.use.clicked.connect(self._use)
-        self.plot.accepted.connect(self._use)
-        self.plot.chosen.connect(self._preview)
-        self.plot.pointed.connect(self.pointed.setText)
+        self.table.activated.connect(lambda _: self._use())
+        self.table.selectionEdited.connect(lambda _: self._preview())
         self.run.changed.connect(self._show_trials)
         self.run.ended.connect(self._ended)
         self._document.presetChanged.connect(self._list_fields)
@@ -198,17 +216,16 @@ class TuneTab(AnalysisTab):
             "Number of frames of each trial, between the in and out marks: spread evenly with ground truth, otherwise "
             "consecutive from the present frame. More are more reliable and take longer"
         )
-        self.plot.setToolTip("One dot a trial; click one to preview it. Left and Right walk along the front")
+        self.table.setToolTip("Trials that no other beats in error and time. Choose one to preview it; Enter uses it")
         form = QFormLayout()
         for title, entry, name in (("Tria&ls", self.trials, "Trials"), ("&Frames", self.frames, "Frames")):
             entry.setAccessibleName(name)
             form.addRow(title, entry)
         QVBoxLayout(self._field_box).setSpacing(4)
-        panel, right = QWidget(), QWidget()
+        panel = QWidget()
         buttons = hbox(self.start, self.stop)
         vbox(self._field_box, form, buttons, 12, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
-        vbox((self.plot, 1), self.pointed, within=right, margins=0)
-        across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (right, 1))
+        across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (self.table, 1))
         vbox(self.status, (across, 1), within=self, margins=0)
 
     def _list_fields(self, preset: Preset) -> None:
@@ -237,11 +254,9 @@ class TuneTab(AnalysisTab):
             return
         self.messages.clear("failed")
         self._end_preview()
-        self.plot.choose(-1)
         axes = tuple(self._axes[path] for path, box in self.fields.items() if box.isChecked())
         has_truth = result.frame.truth is not None
         objective = "rmse" if has_truth else "stability"
-        self.plot.set_axes("Time (ms per frame, one thread)", _TITLES[objective])
         index = max(0, result.playback.index)
         frames = frames_of(self._context.trim, result.source.length, self.frames.value(), index, has_truth)
         request = Request(result.source.name, self._document.preset, axes, objective, frames, self.trials.value())
@@ -260,15 +275,8 @@ class TuneTab(AnalysisTab):
         self._show_trials()
 
     def _show_trials(self) -> None:
-        request = self.run.request
-        assert request is not None
-        dots, present = [], -1
-        for number, trial in self.run.trials.items():
-            figures = trial["figures"]
-            if not trial["failure"] and figures["points"]:
-                present = number if trial["present"] else present
-                dots.append(Dot(number, figures["ms"], figures[request.objective], _words(trial, request.objective)))
-        self.plot.set_dots(dots, self.run.front, present)
+        shown = [trial for number, trial in self.run.trials.items() if number in self.run.front or trial["present"]]
+        self.table.set_records([trial for trial in shown if not trial["failure"] and trial["figures"]["points"]])
         self._update()
 
     def _update(self) -> None:
@@ -277,7 +285,7 @@ class TuneTab(AnalysisTab):
         request, busy, done = self.run.request, self.run.busy, len(self.run.trials)
         if request is not None and (busy or done):
             now = "Stopping… " if self.run.stopping and busy else "Searching… " if busy else ""
-            words = f"{now}{done} of {request.trials} trials on {request.source}; {len(self.run.front)} on the front"
+            words = f"{now}{done} of {request.trials} trials on {request.source}; {len(self.run.front)} best ones"
         else:
             words = _WAITING if source is None else _LIVE if source.length is None else _READY
         failed = sum(bool(trial["failure"]) for trial in self.run.trials.values())
@@ -287,27 +295,33 @@ class TuneTab(AnalysisTab):
         self.stop.setEnabled(busy and not self.run.stopping)
         for entry in (self._field_box, self.trials, self.frames):
             entry.setEnabled(not busy)
-        self.use.setText(f"&Use trial {self.plot.number}" if self.plot.number >= 0 else "&Use")
+        trial = self._chosen()
+        self.use.setText("&Use" if trial is None else f"&Use trial {trial['number']}")
         self.use.setEnabled(bool(self._changes()))
 
     # The chosen trial
 
+    def _chosen(self) -> dict[str, Any] | None:
+        return next((self.run.trials.get(number) for number in self.table.selected_keys()), None)
+
     def _changes(self) -> dict[str, Any]:
-        trial, request = self.run.trials.get(self.plot.number), self.run.request
+        trial, request = self._chosen(), self.run.request
         if trial is None or request is None:
             return {}
         values = {"contact_test": request.preset.contact_test} | trial["values"]
         return {path: value for path, value in values.items() if value != self._document.preset.value(path)}
 
-    def _preview(self, number: int) -> None:
+    def _preview(self) -> None:
         self._update()
-        comparison = self._context.comparison
+        comparison, trial = self._context.comparison, self._chosen()
+        if trial is None:
+            return
         try:
             preset = self._document.preset.with_values(self._changes())
         except PresetError as error:  # the preset was edited since the search
-            self.messages.show_message("preview", Severity.WARNING, f"Trial {number} cannot be previewed: {error}")
+            self.messages.show_message("preview", Severity.WARNING, f"{_name(trial)} cannot be previewed: {error}")
             return
-        self._previewed = Side(f"Trial {number}", preset)
+        self._previewed = Side(_name(trial), preset)
         comparison.show(comparison.present, self._previewed)
 
     def _end_preview(self) -> None:
@@ -317,17 +331,11 @@ class TuneTab(AnalysisTab):
         self._previewed = None
 
     def _use(self) -> None:
-        changes, name = self._changes(), f"Trial {self.plot.number}"
-        if not changes:
+        changes, trial = self._changes(), self._chosen()
+        if trial is None or not changes:
             return
+        name = _name(trial)
         self._end_preview()
         if self._document.edit_many(changes, title=f"{name} of the search"):
             self.messages.show_message("used", Severity.INFO, f"{name} is in the preset. Undo: Ctrl+Z.")
         self._update()
-
-
-def _words(trial: dict[str, Any], objective: str) -> str:
-    figures = trial["figures"]
-    values = [f"{field_title(path)} {field_spec(Preset, path).describe(it)}" for path, it in trial["values"].items()]
-    which = "Present preset" if trial["present"] else f"Trial {trial['number']}"
-    return f"{which}: {_TITLES[objective]} {figures[objective]:.3g}, {figures['ms']:.3g} ms; {', '.join(values)}"

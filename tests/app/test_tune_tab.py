@@ -1,9 +1,9 @@
-"""The tab Tune: a search in a process of its own, its dots, the preview of a trial, and its way into the preset."""
+"""The tab Tune: a search in a process of its own, its best trials, the preview of one, and its way into the preset."""
 
 import os
 
 import pytest
-from PyQt6.QtCore import QPointF, QProcess, Qt
+from PyQt6.QtCore import QProcess, Qt
 from PyQt6.QtTest import QTest
 
 from hands import LEFT, show_source, text_of, type_into
@@ -39,31 +39,27 @@ def search(qtbot, tab, trials):
     qtbot.waitUntil(lambda: not tab.run.busy, timeout=240_000)
 
 
-def click_dot(qtbot, tab, number):
-    """Click the dot of a trial."""
-    figures = tab.run.trials[number]["figures"]
-    view = tab.plot.plot_widget
-    box = view.getPlotItem().getViewBox()
-    at = view.mapFromScene(box.mapViewToScene(QPointF(figures["ms"], figures["rmse"])))
-    QTest.mouseMove(view.viewport(), at)
-    QTest.mouseClick(view.viewport(), LEFT, pos=at)
-    qtbot.waitUntil(lambda: tab.plot.number == number)
+def click_trial(qtbot, tab, number):
+    """Click the row of a trial."""
+    table = tab.table
+    row = [trial["number"] for trial in table.model().records].index(number)
+    QTest.mouseClick(table.viewport(), LEFT, pos=table.visualRect(table.model().index(row, 0)).center())
+    qtbot.waitUntil(lambda: table.selected_keys() == (number,))
 
 
 def test_a_search_finds_a_better_preset_which_is_previewed_and_used_as_one_step(qtbot, tab):
     document, comparison = tab.main.document, tab.main.context.comparison
     before = document.preset
     assert "Tolerance t" in tab.fields["tolerance.t"].text()
-    axis = tab.plot.plot_widget.getPlotItem().getAxis("left")
     search(qtbot, tab, 16)
-    assert axis.labelText == "RMSE (mm)" and axis.style["showValues"]
     assert len(tab.run.trials) == 16 and not tab.messages.isVisible(), text_of(tab.messages)
     assert "16 of 16 trials" in tab.status.text()
-    best = min(tab.plot.front, key=lambda number: tab.run.trials[number]["figures"]["rmse"])
+    best = min(tab.run.front, key=lambda number: tab.run.trials[number]["figures"]["rmse"])
     assert tab.run.trials[best]["figures"]["rmse"] < tab.run.trials[0]["figures"]["rmse"]
-    click_dot(qtbot, tab, best)
+    click_trial(qtbot, tab, best)
     value = tab.run.trials[best]["values"]["tolerance.t"]
-    assert f"Trial {best}: RMSE" in tab.pointed.text() and "Tolerance t" in tab.pointed.text()
+    assert set(tab.run.front) <= {trial["number"] for trial in tab.table.records()}
+    assert f"trial {best}" in tab.use.text()
     assert [side.name for side in comparison.sides] == ["Present", f"Trial {best}"]
     assert comparison.sides[1].preset.tolerance.t == value
     assert document.preset == before
@@ -76,25 +72,16 @@ def test_a_search_finds_a_better_preset_which_is_previewed_and_used_as_one_step(
     use_by_keys(tab)
 
 
-def walk_left_to(plot, number):
-    for _ in plot.front:
-        if plot.number != number:
-            QTest.keyClick(plot, Qt.Key.Key_Left)
-    assert plot.number == number
-
-
 def use_by_keys(tab):
-    """The arrow keys walk along the front, and Enter uses a trial."""
-    tab.plot.setFocus()
-    walk_left_to(tab.plot, tab.plot.front[0])
-    walked = [tab.plot.number]
-    for _ in tab.plot.front[1:]:
-        QTest.keyClick(tab.plot, Qt.Key.Key_Right)
-        walked.append(tab.plot.number)
-    assert tuple(walked) == tab.plot.front
-    number = next(number for number in tab.plot.front if not tab.run.trials[number]["present"])
-    walk_left_to(tab.plot, number)
-    QTest.keyClick(tab.plot, Qt.Key.Key_Return)
+    """The arrow keys walk along the trials, and Enter uses one."""
+    tab.table.setFocus()
+    QTest.keyClick(tab.table, Qt.Key.Key_Home, Qt.KeyboardModifier.ControlModifier)
+    for _ in tab.table.records():
+        (number,) = tab.table.selected_keys()
+        if not tab.run.trials[number]["present"]:
+            break
+        QTest.keyClick(tab.table, Qt.Key.Key_Down)
+    QTest.keyClick(tab.table, Qt.Key.Key_Return)
     assert tab.main.document.preset.tolerance.t == tab.run.trials[number]["values"]["tolerance.t"]
 
 
