@@ -6,8 +6,17 @@
 from pathlib import Path
 
 from tactune.app.window.actions import TABLE, Row
-from tactune.app.window.help import MOUSE
 
+MOUSE = (
+    ("Drag in a view", "orbit all views"),
+    ("Shift + drag, middle button", "pan"),
+    ("Wheel", "zoom, in views and images"),
+    ("Double click in a view or image", "enlarge it, or go back"),
+    ("Drag the line between A and B", "move the wipe while presets are compared"),
+    ("Click or drag in the time strip", "seek"),
+    ("Eyedropper, then click in the colour image", "set the mask to the prints' colour"),
+    ("Drop a file or folder", "open a preset or a recording"),
+)
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "guide" / "keys.md"
 
 

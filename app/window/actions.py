@@ -144,7 +144,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
     "C&onnect": (Row("publish", "&Publish", "F8", "Send patches live to Foxglove or ROS 2; off until you start it"),),
     "&Help": (
         Row("documentation", "&Documentation", "F1", "Open the guide in the browser", "help-circle-outline"),
-        Row("shortcuts", "&Shortcuts", "Shift+F1", "All keys and mouse gestures", "keyboard-outline"),
+        Row("shortcuts", "&Shortcuts", "Shift+F1", "Keys and mouse gestures: a page of the guide", "keyboard-outline"),
         _LINE,
         Row("messages", "&Messages", "F12", "Go to the newest message"),
         Row("about", "&About Tactune", icon="information-outline"),

@@ -51,7 +51,7 @@ from .export import Export
 from .files import FileFlows
 from .findings import RAIL_PX, FindingsControl, FindingsRail
 from .frame_presenter import FramePresenter
-from .help import open_guide, show_about, show_shortcuts
+from .help import open_guide, show_about
 from .modes import COLUMN_PX, Mode, ModeColumn, RunPanel
 from .pointing import Eyedropper, Pointing
 from .publishing import PublishControl
@@ -278,9 +278,7 @@ class MainWindow(QMainWindow):
         actions.quit.triggered.connect(self.close)
         actions.show_panel.toggled.connect(self._show_beside)
         actions.messages.triggered.connect(self.messages.focus_newest)
-        actions.shortcuts.triggered.connect(
-            lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
-        )
+        actions.shortcuts.triggered.connect(lambda: open_guide(self.messages, "keys"))
         actions.documentation.triggered.connect(lambda: open_guide(self.messages))
         actions.about.triggered.connect(lambda: show_about(self))
         menus = self.menus

@@ -40,7 +40,6 @@ ACTIONS = (
     "open_source",
     "camera_settings",
     "suggest_all",
-    "shortcuts",
 )
 #: The main window in each mode.
 MODES = ("set_up", "tune", "run")

@@ -18,6 +18,9 @@ def opened(monkeypatch):
 def test_f1_opens_the_guide_that_ships_with_the_package(window, opened, monkeypatch, tmp_path):
     page = tmp_path / "index.html"
     page.write_text("guide")
-    monkeypatch.setattr(help_menu, "guide_file", lambda: page)
+    monkeypatch.setattr(help_menu, "guide_file", lambda name: tmp_path / f"{name}.html")
     QTest.keyClick(window, Qt.Key.Key_F1)
     assert opened == [str(page)]
+    (tmp_path / "keys.html").write_text("keys")
+    QTest.keyClick(window, Qt.Key.Key_F1, Qt.KeyboardModifier.ShiftModifier)
+    assert opened[1:] == [str(tmp_path / "keys.html")]
