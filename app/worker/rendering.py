@@ -34,7 +34,14 @@ from ...widgets.basics.colormaps import (
 )
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
+from ...widgets.images.strip_render import (
+    RenderedStrip,
+    color_pane,
+    depth_pane,
+    difference_pane,
+    outline_contact,
+    stride_for,
+)
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 
 
@@ -61,36 +68,30 @@ def draw_strip(
     as_masked, masked = frame, preset.mask.enabled
     if patch is not None and patch.mask_colors is not None and masked:
         as_masked = replace(frame, proximity_color=patch.mask_colors.get())
-    color, mask_overlay = np.empty((0, 0, 3), np.uint8), None
-    expected_m = measured_m = np.empty((0, 0), np.float32)  # aligning depth for images behind a tab takes long
+    panes: dict[str, Uint8Array] = {}
     if "color" in images:
         color = compared = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
         if as_masked.proximity_color is not frame.proximity_color:
             compared = aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
-        mask_overlay = in_hsv_range(compared, preset.mask) if masked and shows_mask else None
-    if images != {"color"} and patch is not None:
-        expected_m, measured_m = (
-            np.ascontiguousarray(image[every]) for image in (patch.aligned.expected_m, patch.aligned.measured_m)
-        )
-    elif images != {"color"}:
-        measured_m = np.full(counts.shape, np.nan, np.float32)
-        expected_m = np.where(valid, depth_m, measured_m)
-        if not rig.has_proximity:  # one image, which needs no alignment
-            measured_m = expected_m
-    sampled = StripImages(
-        color=color,
-        mask_overlay=mask_overlay,
-        proximity_m=expected_m,
-        tactile_m=measured_m,
-        relative=np.asarray((expected_m - measured_m) / expected_m, np.float32),
-        tolerance=accepted,
-        contact=None if patch is None else patch.mask[every],
-        depth_range_m=depth_range_m,
-        size=(width, height),
-        stride=stride,
-    )
-    share = masked_share(as_masked.proximity_color, preset.mask) if preset.mask.enabled else None
-    return replace(render_strip(sampled, images), masked_share=share)
+        panes["color"] = color_pane(color, in_hsv_range(compared, preset.mask) if masked and shows_mask else None)
+    if images != {"color"}:  # aligning depth takes long
+        if patch is not None:
+            expected_m, measured_m = patch.aligned.expected_m[every], patch.aligned.measured_m[every]
+        else:
+            measured_m = np.full(counts.shape, np.nan, np.float32)
+            expected_m = np.where(valid, depth_m, measured_m)
+            if not rig.has_proximity:  # one image, which needs no alignment
+                measured_m = expected_m
+        draw: dict[str, Callable[[], Uint8Array]] = {
+            "proximity": lambda: depth_pane(expected_m, depth_range_m),
+            "tactile": lambda: depth_pane(measured_m, depth_range_m),
+            "difference": lambda: difference_pane(expected_m, measured_m, accepted),
+        }
+        panes |= {name: pane() for name, pane in draw.items() if name in images}
+    if patch is not None:
+        outline_contact(panes.values(), patch.mask[every])
+    share = masked_share(as_masked.proximity_color, preset.mask) if masked else None
+    return RenderedStrip(panes, (width, height), stride, depth_range_m, accepted, share)
 
 
 def aligned_color(

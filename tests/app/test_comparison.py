@@ -139,7 +139,7 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
 
 def shares(window):
     """Where the wipe stands in each view and image, as a share of its width."""
-    found = [view.wipe().share for view in window.views.views.values()]
+    found = [view.canvas.wipe.share for view in window.views.views.values()]
     for pane in window.strip.panes.values():
         rect = pane.box.viewRect()
         found.append((pane.wipe_line.value() - rect.left()) / rect.width())
@@ -155,10 +155,10 @@ def test_drag_the_wipe_in_a_view_or_an_image_and_all_others_follow(compared, qtb
     QTest.mouseRelease(canvas, LEFT, pos=QPoint(width // 4, height // 3))
     assert shares(compared) == pytest.approx([0.25] * len(shares(compared)), abs=0.02)
     QTest.keyClick(compared, Qt.Key.Key_Right, ALT)
-    assert views["patch"].wipe().share == pytest.approx(0.3, abs=0.02)
+    assert views["patch"].canvas.wipe.share == pytest.approx(0.3, abs=0.02)
     QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
     QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
-    assert views["patch"].wipe().share == pytest.approx(0.2, abs=0.02)
+    assert views["patch"].canvas.wipe.share == pytest.approx(0.2, abs=0.02)
     pane = compared.strip.panes["color"]
     viewport, line = pane.view.viewport(), image_position(pane, pane.wipe_line.value(), HEIGHT // 2).toPoint()
     QTest.mousePress(viewport, LEFT, pos=line)
@@ -168,7 +168,7 @@ def test_drag_the_wipe_in_a_view_or_an_image_and_all_others_follow(compared, qtb
     assert shares(compared) == pytest.approx([0.2 + 30 / viewport.width()] * len(shares(compared)), abs=0.03)
     patches = compared.result.compared
     assert views["patch"].cloud() is patches.a.rendered.clouds["patch"]
-    assert views["patch"].right_cloud() is patches.b.rendered.clouds["patch"]
+    assert views["patch"].canvas.right is patches.b.rendered.clouds["patch"]
 
 
 def test_one_key_shows_a_then_b_then_the_wipe_again(compared):
@@ -178,7 +178,7 @@ def test_one_key_shows_a_then_b_then_the_wipe_again(compared):
     for mode, share, count in (("A", 1.0, points[0]), ("B", 0.0, points[1]), ("wipe", 0.5, points[0])):
         QTest.keyClick(compared, Qt.Key.Key_C)
         assert modes[mode].isChecked()
-        assert view.wipe().share == share
+        assert view.canvas.wipe.share == share
         assert view.point_count() == count
 
 
@@ -201,7 +201,7 @@ def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):
     assert compared.document.undo_stack.undoText() == "Use Saved"
     qtbot.waitUntil(lambda: shows_preset_of_document(compared) and compared.result.compared is None)
     assert not compared.comparison.isVisible()
-    assert compared.views.views["patch"].wipe() is None
+    assert compared.views.views["patch"].canvas.wipe is None
     QTest.keyClick(compared, Qt.Key.Key_Z, CONTROL)
     assert compared.document.preset == before
 

@@ -108,20 +108,20 @@ def test_membrane_and_patch_have_the_colours_of_the_legend_in_kpa_or_relative(sh
 
 
 def force_reading(window):
-    return next((each for each in window.views.views[PATCH].readings() if each.caption.startswith("force")), None)
+    return next((each for each in window.views.views[PATCH].canvas.readings if each.caption.startswith("force")), None)
 
 
 def test_the_force_is_an_arrow_and_a_number_with_its_deviation(shown, qtbot):
     assert force_reading(shown) is None
     view = shown.views.views[PATCH]
-    assert view.arrow() is None
+    assert view.canvas.arrow is None
     edit(shown, qtbot, contact_test="pressure", pressure__gauge_pa=0.0)
     facts = shown.result.patch.pressure
     sizes = [float(word.replace(",", "")) for word in force_reading(shown).value.split() if word[0].isdigit()]
     assert sizes == [round(each) for each in facts.strength]
     assert force_reading(shown).value.endswith("mm²")
     assert force_reading(shown).caption != "force"
-    start, end = np.array(view.arrow())
+    start, end = np.array(view.canvas.arrow)
     weights = np.fmax(facts.at_points.get(), 0)
     np.testing.assert_allclose(start, weights @ shown.result.patch.points / weights.sum(), atol=1e-5)
     along = (end - start) / np.linalg.norm(end - start)
@@ -139,7 +139,7 @@ def test_the_force_is_an_arrow_and_a_number_with_its_deviation(shown, qtbot):
 
     shown.worker.seek(0)
     qtbot.waitUntil(lambda: shown.result.playback.index == 0 and shown.result.area_mm2 == 0)
-    assert view.arrow() is None
+    assert view.canvas.arrow is None
     assert not any(map(str.isdigit, force_reading(shown).value)), "no contact has no force of 0.00 N"
 
 

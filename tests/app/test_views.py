@@ -124,7 +124,7 @@ def test_the_patch_has_twice_the_area_of_any_other_view_in_every_mode(own_window
 
 
 def test_the_numbers_stand_on_the_patch(window, qtbot):
-    area, touches, rate, centroid, _ = window.views.views[PATCH].readings()
+    area, touches, rate, centroid, _ = window.views.views[PATCH].canvas.readings
     assert area.value == f"{window.result.area_mm2:,.0f} mm²"
     x, y, z = window.result.patch.centroid_m
     assert centroid.value.replace("−", "-") == f"{1e3 * x:.0f}, {1e3 * y:.0f}, {1e3 * z:.0f}"
@@ -157,15 +157,15 @@ def hover(window, name, at, shown):
 def test_a_point_under_the_mouse_marks_its_pixel_in_the_images_and_its_points_in_the_views(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_V)
     u, v = 33, 22
-    marks = [view.mark for view in window.views.views.values()]
+    canvases = [view.canvas for view in window.views.views.values()]
     for name in (PROXIMITY, TACTILE, PATCH):
         at = on_canvas(window, name, place_of(window, name, u, v))
         seen = partial(hover, window, name)
         qtbot.waitUntil(lambda: seen(at, lambda: window.strip.readout.text().startswith(f"({u}, {v})")))  # noqa: B023  # used at once
         assert all(pane.cross.isVisible() for pane in window.strip.panes.values())
         for other, view in window.views.views.items():
-            np.testing.assert_allclose(view.mark(), place_of(window, other, u, v), atol=2e-3)
-        qtbot.waitUntil(lambda: seen(QPoint(3, 3), lambda: {mark() for mark in marks} == {None}))  # noqa: B023  # used at once
+            np.testing.assert_allclose(view.canvas.mark, place_of(window, other, u, v), atol=2e-3)
+        qtbot.waitUntil(lambda: seen(QPoint(3, 3), lambda: {canvas.mark for canvas in canvases} == {None}))  # noqa: B023  # used at once
         assert window.strip.readout.text() == ""
 
 
@@ -174,11 +174,11 @@ def test_a_pixel_in_an_image_marks_its_points_in_the_views(window, qtbot):
     at = image_position(window.strip.panes["color"], 30, 20).toPoint()
     QTest.mouseMove(window.strip.panes["color"].view.viewport(), at)
     for name, view in window.views.views.items():
-        qtbot.waitUntil(lambda view=view: view.mark() is not None)
-        np.testing.assert_allclose(view.mark(), place_of(window, name, 30, 20), atol=1e-6)
+        qtbot.waitUntil(lambda view=view: view.canvas.mark is not None)
+        np.testing.assert_allclose(view.canvas.mark, place_of(window, name, 30, 20), atol=1e-6)
     before = canvas(window, PATCH).grab().toImage()
     QTest.keyClick(window.strip, Qt.Key.Key_Right)
     np.testing.assert_allclose(
-        window.views.views[PATCH].mark(), place_of(window, PATCH, 31, 20), atol=1e-6, err_msg="keys point, too"
+        window.views.views[PATCH].canvas.mark, place_of(window, PATCH, 31, 20), atol=1e-6, err_msg="keys point, too"
     )
     assert canvas(window, PATCH).grab().toImage() != before, "the mark is painted"

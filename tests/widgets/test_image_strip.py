@@ -7,7 +7,7 @@ from PyQt6.QtWidgets import QApplication
 
 from hands import image_position
 from tactune.widgets.images.image_strip import PANES, ImageStrip
-from tactune.widgets.images.strip_render import StripImages, render_strip, stride_for
+from tactune.widgets.images.strip_render import RenderedStrip, color_pane, depth_pane, difference_pane, stride_for
 
 LEFT = Qt.MouseButton.LeftButton
 NONE = Qt.KeyboardModifier.NoModifier
@@ -18,19 +18,10 @@ def rendered(height=HEIGHT, width=WIDTH, hint=0):
     stride = stride_for(width, hint)
     v, u = np.mgrid[:height:stride, :width:stride]
     depth = (0.2 + 0.0001 * u + 0.0001 * v).astype(np.float32)
-    return render_strip(
-        StripImages(
-            color=np.dstack([u % 256, v % 256, np.zeros_like(u)]).astype(np.uint8),
-            mask_overlay=None,
-            proximity_m=depth,
-            tactile_m=depth,
-            relative=np.zeros_like(depth),
-            tolerance=0.03,
-            depth_range_m=(0.2, 0.31),
-            size=(width, height),
-            stride=stride,
-        )
-    )
+    color = np.dstack([u % 256, v % 256, np.zeros_like(u)]).astype(np.uint8)
+    panes = {"color": color_pane(color, None), "difference": difference_pane(depth, depth, 0.03)}
+    panes |= {name: depth_pane(depth, (0.2, 0.31)) for name in ("proximity", "tactile")}
+    return RenderedStrip(panes, (width, height), stride, (0.2, 0.31), 0.03)
 
 
 @pytest.fixture

@@ -40,4 +40,4 @@ def test_each_side_is_what_its_cloud_alone_shows(view, share):
     assert (both[NAMES:] == GREEN).all(axis=2).any() == (share < 1)
     view.set_wipe(None)
     assert (picture(view) == red).all()
-    assert view.right_cloud() is None
+    assert view.canvas.right is None

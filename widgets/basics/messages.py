@@ -51,27 +51,13 @@ def _make_card(frame: QFrame) -> None:
     frame.setBackgroundRole(QPalette.ColorRole.AlternateBase)
 
 
-class Card(QFrame):
-    """A frame over the views with a background and an outline; Esc asks to close it."""
-
-    closed = pyqtSignal()
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        _make_card(self)
-
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        if event is not None and event.key() == Qt.Key.Key_Escape:
-            self.closed.emit()
-        else:
-            super().keyPressEvent(event)
-
-
-class Message(Card):
+class Message(QFrame):
     """One sentence with its buttons, optional details, and a button that dismisses it, as does Esc.
 
     A note without buttons goes by itself, but not while the pointer or the focus is on it.
     """
+
+    closed = pyqtSignal()
 
     def __init__(
         self,
@@ -84,6 +70,7 @@ class Message(Card):
         parent: QWidget,
     ) -> None:
         super().__init__(parent)
+        _make_card(self)
         self.sentence, self.subject = sentence, subject
         self.closed.connect(close)
         self.lasts = bool(offers) or severity is not Severity.INFO
@@ -117,6 +104,12 @@ class Message(Card):
         stripe.setFixedWidth(5)
         stripe.setProperty("severity", str(severity))
         hbox(stripe, (body, 1), within=self, margins=0, spacing=0)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self.closed.emit()
+        else:
+            super().keyPressEvent(event)
 
     def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:
         shown = QPlainTextEdit(details)

@@ -60,13 +60,12 @@ class _Model(QAbstractTableModel):
 
     ticked = pyqtSignal(object, bool)
 
-    def __init__(self, columns: Sequence[Column], marked: Callable[[Any], bool] | None, wraps: bool) -> None:
+    def __init__(self, columns: Sequence[Column], marked: Callable[[Any], bool] | None) -> None:
         super().__init__()
         self.columns = tuple(columns)
         self.given: tuple[Any, ...] = ()
         self.records: tuple[Any, ...] = ()
         self._marked = marked
-        self._vertical = Qt.AlignmentFlag.AlignTop if wraps else Qt.AlignmentFlag.AlignVCenter
         self._sorted: tuple[Column, bool] | None = None
 
     def show(self, records: Sequence[Any], same_rows: Callable[[Sequence[Any], Sequence[Any]], bool]) -> None:
@@ -113,7 +112,7 @@ class _Model(QAbstractTableModel):
             answer = None if on is None else Qt.CheckState.Checked if on else Qt.CheckState.Unchecked
         elif role == _Role.TextAlignmentRole:
             side = Qt.AlignmentFlag.AlignLeft if column.decimals is None else Qt.AlignmentFlag.AlignRight
-            answer = side | self._vertical
+            answer = side | Qt.AlignmentFlag.AlignVCenter
         elif role == _Role.ToolTipRole:
             answer = (column.hint(record) if column.hint is not None else "") or column.tip
         elif role == _Role.ForegroundRole and column.color is not None and column.color(record):
@@ -133,7 +132,7 @@ class RecordTable(QTableView):
     """Shows records in columns. Whoever listens to its signals changes the records and calls `set_records`.
 
     Ctrl+C copies the selected rows, or all; space ticks the selected rows. A record stays selected by its ``key``;
-    the rows of ``marked`` records are highlighted; ``wraps`` lets long texts take several lines.
+    the rows of ``marked`` records are highlighted.
     """
 
     ticked = pyqtSignal(object, bool)  # record, on
@@ -149,12 +148,11 @@ class RecordTable(QTableView):
         key: Callable[[Any], Any] = lambda record: record,
         marked: Callable[[Any], bool] | None = None,
         sortable: bool = False,
-        wraps: bool = False,
     ) -> None:
         super().__init__()
         self._key = key
         self._showing = False
-        self._model = _Model(columns, marked, wraps)
+        self._model = _Model(columns, marked)
         self.setModel(self._model)
         self._kept: tuple[Any, ...] = ()  # keys of the selected rows while all are replaced
         self._model.modelAboutToBeReset.connect(lambda: setattr(self, "_kept", self.selected_keys()))
@@ -166,7 +164,7 @@ class RecordTable(QTableView):
         self.setTabKeyNavigation(False)
         self.setAlternatingRowColors(True)
         self.setShowGrid(False)
-        self.setWordWrap(wraps)
+        self.setWordWrap(False)
         across, down = self.horizontalHeader(), self.verticalHeader()
         assert across is not None and down is not None
         across.setHighlightSections(False)
@@ -174,8 +172,6 @@ class RecordTable(QTableView):
         across.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         down.hide()
         down.setDefaultSectionSize(self.fontMetrics().height() + 6)
-        if wraps:
-            down.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         for number, column in enumerate(columns):
             if column.stretch:
                 across.setSectionResizeMode(number, QHeaderView.ResizeMode.Stretch)

@@ -82,12 +82,12 @@ class CloudView(QWidget):
 
         self._header = CloudHeader(title)
         self.legend_line = LegendLine()
-        self._canvas = CloudCanvas(self)
-        self._canvas.setObjectName("canvas")
-        self._canvas.resized.connect(self._start_framing)
-        self._notice, self._badge = Notice(self._canvas), Notice(self._canvas, warns=True)
+        self.canvas = CloudCanvas(self)
+        self.canvas.setObjectName("canvas")
+        self.canvas.resized.connect(self._start_framing)
+        self._notice, self._badge = Notice(self.canvas), Notice(self.canvas, warns=True)
         self._notice.button.clicked.connect(self.offerPressed)
-        parts = self._header, (self._canvas, 1), self.legend_line
+        parts = self._header, (self.canvas, 1), self.legend_line
         vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
         self.set_wipe(None)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -102,54 +102,48 @@ class CloudView(QWidget):
     # What is shown
 
     def set_cloud(self, cloud: DepthCloud | None) -> None:
-        arrives = cloud is not None and self._canvas.cloud is None
-        self._canvas.cloud = cloud
+        arrives = cloud is not None and self.canvas.cloud is None
+        self.canvas.cloud = cloud
         self._show_count()
         if arrives and not self._steered:
             self.fit()
-        self._canvas.update()
+        self.canvas.update()
 
     def cloud(self) -> DepthCloud | None:
         """Return the cloud that is shown, left of the wipe if there is one."""
-        return self._canvas.cloud
-
-    def right_cloud(self) -> DepthCloud | None:
-        return self._canvas.right
+        return self.canvas.cloud
 
     def set_right(self, cloud: DepthCloud | None, message: str = "") -> None:
         """Show another cloud right of the wipe; ``message`` says why it has no points."""
-        self._canvas.right, self._right_message = cloud, message
+        self.canvas.right, self._right_message = cloud, message
         self._show_count()
-        self._canvas.update()
+        self.canvas.update()
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the view between two clouds seen by the same camera, or show only one."""
-        self._canvas.wipe = wipe
+        self.canvas.wipe = wipe
         if wipe is None:
-            self._canvas.right, self._right_message = None, ""
-        for widget in (self, self._canvas):
+            self.canvas.right, self._right_message = None, ""
+        for widget in (self, self.canvas):
             widget.setMouseTracking(self._inspects or wipe is not None)
         self._show_count()
-        self._canvas.update()
-
-    def wipe(self) -> Wipe | None:
-        return self._canvas.wipe
+        self.canvas.update()
 
     def point_count(self) -> int:
         """Return the number of points that the view states: of the left cloud unless only the right one is seen."""
-        wipe = self._canvas.wipe
-        cloud = self._canvas.right if wipe is not None and wipe.share <= 0 else self._canvas.cloud
+        wipe = self.canvas.wipe
+        cloud = self.canvas.right if wipe is not None and wipe.share <= 0 else self.canvas.cloud
         return cloud.point_count if cloud else 0
 
     def set_point_size(self, size: float) -> None:
         """Draw points as squares of this edge length, in device-independent pixels, at least 1."""
-        self._canvas.point_size = max(1.0, float(size))
-        self._canvas.update()
+        self.canvas.point_size = max(1.0, float(size))
+        self.canvas.update()
 
     def set_running(self, running: bool) -> None:
         """Say whether frames follow each other: a cloud that stands still is drawn with all its points."""
-        self._canvas.running = running
-        self._canvas.update()
+        self.canvas.running = running
+        self.canvas.update()
 
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
         self.legend_line.setValue(entries)
@@ -181,45 +175,36 @@ class CloudView(QWidget):
 
     def set_mark(self, mark: Place | None) -> None:
         """Mark a place of the view's frame, metres, or none."""
-        if mark != self._canvas.mark:
-            self._canvas.mark = mark
-            self._canvas.update()
-
-    def mark(self) -> Place | None:
-        return self._canvas.mark
+        if mark != self.canvas.mark:
+            self.canvas.mark = mark
+            self.canvas.update()
 
     def set_arrow(self, arrow: tuple[Place, Place] | None) -> None:
         """Draw an arrow from one place to another of the view's frame, metres, or none."""
-        if arrow != self._canvas.arrow:
-            self._canvas.arrow = arrow
-            self._canvas.update()
-
-    def arrow(self) -> tuple[Place, Place] | None:
-        return self._canvas.arrow
+        if arrow != self.canvas.arrow:
+            self.canvas.arrow = arrow
+            self.canvas.update()
 
     def set_readings(self, readings: tuple[Reading, ...]) -> None:
         """Show numbers in large type over the upper left corner."""
-        if readings != self._canvas.readings:
-            self._canvas.readings = readings
-            self._canvas.update()
-
-    def readings(self) -> tuple[Reading, ...]:
-        return self._canvas.readings
+        if readings != self.canvas.readings:
+            self.canvas.readings = readings
+            self.canvas.update()
 
     def _show_count(self) -> None:
         self._header.set_count(self.point_count())
-        wipe = self._canvas.wipe
+        wipe = self.canvas.wipe
         share = 1.0 if wipe is None else wipe.share
-        sides = [(self._canvas.cloud, self._message)] if share > 0 else []
+        sides = [(self.canvas.cloud, self._message)] if share > 0 else []
         if share < 1:
-            sides.append((self._canvas.right, self._right_message))
+            sides.append((self.canvas.right, self._right_message))
         empty = not any(cloud is not None and cloud.point_count for cloud, _ in sides)
         self._notice.set_text(sides[0][1] if empty else "")
 
     # Camera
 
     def camera(self) -> ViewCamera:
-        return self._canvas.camera
+        return self.canvas.camera
 
     def set_camera(self, camera: ViewCamera) -> None:
         """Move the camera and those of linked views; automatic framing ends."""
@@ -263,7 +248,7 @@ class CloudView(QWidget):
         self._move(camera, steered)
 
     def _size(self) -> tuple[int, int]:
-        return max(1, self._canvas.width()), max(1, self._canvas.height())
+        return max(1, self.canvas.width()), max(1, self.canvas.height())
 
     def _move(self, camera: ViewCamera, steered: bool) -> None:
         for view in (self, *self._companions):
@@ -271,16 +256,16 @@ class CloudView(QWidget):
 
     def _place(self, camera: ViewCamera, steered: bool) -> None:
         self._steered = steered
-        if camera != self._canvas.camera:
-            self._canvas.camera = camera
-            self._canvas.update()
+        if camera != self.canvas.camera:
+            self.canvas.camera = camera
+            self.canvas.update()
 
     def pick(self, at: QPointF) -> tuple[int, Place] | None:
         """Return flat pixel and place of the point nearest to the eye at a position of the canvas, or beside it."""
         width, height = self._size()
-        wipe = self._canvas.wipe
+        wipe = self.canvas.wipe
         right = wipe is not None and at.x() >= wipe.column(width)
-        cloud = self._canvas.right if right else self._canvas.cloud
+        cloud = self.canvas.right if right else self.canvas.cloud
         if cloud is None:
             return None
         found = cloud.near(self.camera().pixel_matrix(width, height), (at.x(), at.y()), PICK_PX)
@@ -302,7 +287,7 @@ class CloudView(QWidget):
         return QSize(120, 100)
 
     def _start_framing(self) -> None:
-        if not self._steered and self._canvas.cloud is not None:
+        if not self._steered and self.canvas.cloud is not None:
             self._resized.start()
 
     def _frame_after_resize(self) -> None:
@@ -337,19 +322,19 @@ class CloudView(QWidget):
         shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
         self._drag_from = event.position()
         self._drag_pans = shift or event.button() == Qt.MouseButton.MiddleButton
-        self._canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
+        self.canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
         if event is not None and self._drags_wipe:
-            x = self._canvas.mapFrom(self, event.position()).x()
-            self.wipeDragged.emit(min(max(x / max(1, self._canvas.width()), 0.0), 1.0))
+            x = self.canvas.mapFrom(self, event.position()).x()
+            self.wipeDragged.emit(min(max(x / max(1, self.canvas.width()), 0.0), 1.0))
             return
         if event is None or self._drag_from is None:
-            if event is not None and self._canvas.wipe is not None:
+            if event is not None and self.canvas.wipe is not None:
                 shape = Qt.CursorShape.SplitHCursor if self._at_wipe(event) else Qt.CursorShape.ArrowCursor
-                self._canvas.setCursor(shape)
+                self.canvas.setCursor(shape)
             if event is not None and self._inspects and event.buttons() == Qt.MouseButton.NoButton:
-                self._mouse = self._canvas.mapFrom(self, event.position())
+                self._mouse = self.canvas.mapFrom(self, event.position())
                 if not self._hover.isActive():
                     self._hover.start()
             super().mouseMoveEvent(event)
@@ -364,12 +349,12 @@ class CloudView(QWidget):
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
         self._drag_from, self._drags_wipe = None, False
-        self._canvas.unsetCursor()
+        self.canvas.unsetCursor()
         super().mouseReleaseEvent(event)
 
     def _at_wipe(self, event: QMouseEvent) -> bool:
-        wipe, at = self._canvas.wipe, self._canvas.mapFrom(self, event.position())
-        return wipe is not None and wipe.grabbed(at.x(), self._canvas.width())
+        wipe, at = self.canvas.wipe, self.canvas.mapFrom(self, event.position())
+        return wipe is not None and wipe.grabbed(at.x(), self.canvas.width())
 
     def _point(self) -> None:
         self.pointHovered.emit(self.pick(self._mouse))
@@ -391,7 +376,7 @@ class CloudView(QWidget):
         if event is None or event.angleDelta().y() == 0:
             super().wheelEvent(event)
             return
-        cursor = self._canvas.mapFrom(self, event.position())
+        cursor = self.canvas.mapFrom(self, event.position())
         self._zoom(_ZOOM_STEP ** (event.angleDelta().y() / 120), cursor)
         event.accept()
 
@@ -399,7 +384,7 @@ class CloudView(QWidget):
         self.set_camera(self.camera().orbited(right, up))
 
     def _zoom(self, factor: float, at: QPointF | None = None) -> None:
-        at = at or QPointF(self._canvas.width() / 2, self._canvas.height() / 2)
+        at = at or QPointF(self.canvas.width() / 2, self.canvas.height() / 2)
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ...core.model.arrays import BoolArray, Float32Array, Uint8Array
 from ..basics.colormaps import (
@@ -24,8 +23,6 @@ from ..basics.colormaps import (
 #: Names of the images.
 IMAGES: Final = ("color", "proximity", "tactile", "difference")
 
-_Packed = npt.NDArray[np.uint32]
-
 #: Pixels without a value: a grey that none of the maps contains.
 NO_VALUE_RGB: Final = (104, 104, 110)
 
@@ -33,22 +30,6 @@ NO_VALUE_RGB: Final = (104, 104, 110)
 MASK_TINT: Final = 0.6
 
 _KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost when the image is shown smaller
-
-
-@dataclass(frozen=True, eq=False)
-class StripImages:
-    """One frame's images at every ``stride``-th pixel, nan without depth; ``relative`` is (dp - dt) / dp."""
-
-    color: Uint8Array
-    mask_overlay: BoolArray | None
-    proximity_m: Float32Array
-    tactile_m: Float32Array
-    relative: Float32Array
-    tolerance: float
-    depth_range_m: tuple[float, float]
-    size: tuple[int, int]
-    stride: int = 1
-    contact: BoolArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,35 +41,44 @@ class RenderedStrip:
     stride: int
     depth_range_m: tuple[float, float]
     tolerance: float
-    difference_limit: float
     masked_share: float | None = None
 
+    @property
+    def difference_limit(self) -> float:
+        return difference_limit(self.tolerance)
 
-def render_strip(images: StripImages, wanted: Collection[str] = IMAGES) -> RenderedStrip:
-    """Draw the images whose names are wanted."""
-    limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
-    depths, differences = _pack_lut(depth_lut()), _pack_lut(difference_lut(round(images.tolerance, 6), limit))
-    draw: dict[str, Callable[[], _Packed]] = {
-        "color": lambda: _colored(images.color, images.mask_overlay),
-        "proximity": lambda: np.take(depths, _depth_index(images.proximity_m, images.depth_range_m)),
-        "tactile": lambda: np.take(depths, _depth_index(images.tactile_m, images.depth_range_m)),
-        "difference": lambda: np.take(differences, difference_index(images.relative, limit)),
-    }
-    packed = {name: draw[name]() for name in IMAGES if name in wanted}
-    if images.contact is not None:
-        outline = _outline(images.contact)
-        for pane in packed.values():
-            pane[outline] = _pack_rgb(CONTACT_RGB)
-    return RenderedStrip(
-        panes={
-            name: np.ascontiguousarray(pane).view(np.uint8).reshape(*pane.shape, 4) for name, pane in packed.items()
-        },
-        size=images.size,
-        stride=images.stride,
-        depth_range_m=images.depth_range_m,
-        tolerance=images.tolerance,
-        difference_limit=limit,
-    )
+
+def difference_limit(tolerance: float) -> float:
+    """Return the relative difference at both ends of the colour scale."""
+    return max(DIFFERENCE_LIMIT, 2.0 * tolerance)
+
+
+def color_pane(color: Uint8Array, mask: BoolArray | None) -> Uint8Array:
+    """Draw colours, RGB, tinted where the mask covers them."""
+    bgra = np.asarray(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA), np.uint8)
+    if mask is not None:
+        tint(bgra, mask, MASKED_RGB, MASK_TINT)
+    return bgra
+
+
+def depth_pane(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Array:
+    """Draw depth, nan where there is none."""
+    return _colored(depth_lut(), _depth_index(depth_m, range_m))
+
+
+def difference_pane(expected_m: Float32Array, measured_m: Float32Array, tolerance: float) -> Uint8Array:
+    """Draw (dp - dt) / dp, nan where one of them is missing."""
+    limit = difference_limit(tolerance)
+    relative = np.asarray((expected_m - measured_m) / expected_m, np.float32)
+    return _colored(difference_lut(round(tolerance, 6), limit), difference_index(relative, limit))
+
+
+def outline_contact(panes: Iterable[Uint8Array], contact: BoolArray) -> None:
+    """Outline contact in images, in place. Small holes are filled first, since their outlines would hide the image."""
+    closed = cv2.morphologyEx(np.ascontiguousarray(contact).view(np.uint8), cv2.MORPH_CLOSE, _KERNEL)
+    outline = np.asarray(closed != cv2.erode(closed, _KERNEL))
+    for pane in panes:
+        pane.view(np.uint32)[outline] = _pack_rgb(CONTACT_RGB)
 
 
 def stride_for(width: int, width_hint: int) -> int:
@@ -106,26 +96,13 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
     return rows.astype(np.uint8)
 
 
-def _colored(color: Uint8Array, mask: BoolArray | None) -> _Packed:
-    bgra = np.asarray(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA), np.uint8)
-    if mask is not None:
-        tint(bgra, mask, MASKED_RGB, MASK_TINT)
-    return bgra.view(np.uint32)[:, :, 0]
-
-
-def _outline(region: BoolArray) -> BoolArray:
-    """Return the outline of a region. Small holes are filled first, since their outlines would hide the image."""
-    closed = cv2.morphologyEx(np.ascontiguousarray(region).view(np.uint8), cv2.MORPH_CLOSE, _KERNEL)
-    return np.asarray(closed != cv2.erode(closed, _KERNEL))
+def _colored(lut: Uint8Array, rows: Uint8Array) -> Uint8Array:
+    """Return the colours of some rows of a table whose row 0 stands for *no value*."""
+    wide = lut.astype(np.uint32)
+    packed = (0xFF000000 | wide[:, 0] << 16 | wide[:, 1] << 8 | wide[:, 2]).astype(np.uint32)
+    packed[0] = _pack_rgb(NO_VALUE_RGB)
+    return np.take(packed, rows).view(np.uint8).reshape(*rows.shape, 4)
 
 
 def _pack_rgb(rgb: tuple[int, int, int]) -> np.uint32:
     return np.uint32(0xFF000000 | rgb[0] << 16 | rgb[1] << 8 | rgb[2])
-
-
-def _pack_lut(lut: Uint8Array) -> _Packed:
-    """Return a table of packed colours whose row 0 stands for *no value*."""
-    wide = lut.astype(np.uint32)
-    packed: _Packed = (0xFF000000 | wide[:, 0] << 16 | wide[:, 1] << 8 | wide[:, 2]).astype(np.uint32)
-    packed[0] = _pack_rgb(NO_VALUE_RGB)
-    return packed
