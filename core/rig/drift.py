@@ -182,7 +182,7 @@ def _way(plane: Float64Array | None, shift: Float64Array | None) -> str:
     if shift is not None:
         way = -shift.mean(axis=0)  # the image moves against the camera
         turned = np.hypot(*way) <= _rms(shift) / 2
-        return ", turned about its axis," if turned else f" to the {named_sides(*way)} of its image"
+        return ", turned about its axis," if turned else f" {named_sides(*way)} in its image"
     assert plane is not None
     mean = float(plane.mean())
     return f" {'away from' if mean > 0 else 'towards'} the membrane" if abs(mean) > _rms(plane) / 2 else ", turned,"

@@ -1,5 +1,6 @@
 """The guided set-up by mouse: from an empty preset to the verdict, where it stops, and what a person may do there."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -113,6 +114,43 @@ def test_it_stops_at_a_step_that_fails_and_goes_on_without_it(qtbot, set_up):
     click(first.work.start)  # a skipped step can still be done
     qtbot.waitUntil(lambda: not first.work.busy, timeout=60_000)
     assert first.mark.text() == "–"
+
+
+def test_a_step_that_runs_is_skipped_and_stopped_and_the_run_goes_on(qtbot, set_up, monkeypatch):
+    begun = []
+
+    def endless(_kept, _info):
+        def work(progress):
+            begun.append(work)
+            while True:  # until it is cancelled
+                time.sleep(0.001)
+                progress(0.5, "")
+
+        return work
+
+    for step in (set_up.untouched, set_up.noise):
+        monkeypatch.setattr(step.work, "work", endless)
+        step.work.wanted = 5
+    show_source(qtbot, set_up.window_, FakeSource(80), 0)
+    click(set_up.start)
+    qtbot.waitUntil(lambda: len(begun) == 1, timeout=60_000)
+    click(set_up.skip)
+    qtbot.waitUntil(lambda: len(begun) == 2, timeout=60_000)
+    qtbot.waitUntil(lambda: not set_up.untouched.work.busy, timeout=60_000)
+    assert set_up.running and set_up.noise.work.busy
+    assert marks(set_up)[1:3] == "–…"
+    click(set_up.start)
+    qtbot.waitUntil(lambda: not set_up.noise.work.busy, timeout=60_000)
+    assert not set_up.running
+
+
+def test_another_source_begins_again(qtbot, set_up):
+    show_source(qtbot, set_up.window_, FakeSource(), 0)
+    click(set_up.skip)
+    set_up.press.append(tiny_frame(0, tiny_rig()))
+    assert marks(set_up)[1] == "–"
+    show_source(qtbot, set_up.window_, FakeSource(), 0)
+    assert marks(set_up)[1] == "○" and not set_up.press, "a press into another rig tells nothing about this one"
 
 
 def test_waiting_for_a_press_is_cancelled_and_changes_nothing(qtbot, set_up):

@@ -116,6 +116,23 @@ def test_an_unknown_bias_is_a_reason_for_doubt(rig):
     assert doubt.touch_probability < SURE
 
 
+@pytest.mark.parametrize("bias_m", [0.012, -0.012])
+def test_a_measured_bias_that_the_contact_test_does_not_correct_is_a_reason_for_doubt(rig, bias_m):
+    preset, _, touch, _ = rig
+    noise = preset.noise.model_copy(update={"bias_m": bias_m, "bias_from": "contact"})
+    tolerance = preset.with_value("contact_test", "tolerance").model_copy(update={"noise": noise})
+    assert "bias not corrected" in ContactPipeline(tolerance, touch.rig).process(touch.read(0)).doubt.reasons
+
+
+def test_what_moves_everywhere_is_no_dent(rig):
+    """Another inflation brings the whole membrane nearer; a touch there must still dent it."""
+    preset, _, touch, _ = rig
+    frame = touch.read(0)
+    farther = np.where(frame.tactile_depth > 0, frame.tactile_depth + 15, 0).astype(np.uint16)
+    before = replace(frame, tactile_depth=farther)
+    assert "no dent" in ContactPipeline(preset, touch.rig, before).process(frame).doubt.reasons
+
+
 def test_a_hover_within_the_noise_is_claimed_only_with_doubt():
     source = SimulatorSource("cube", 1, cells=CELLS, variant=Variant(gap_mm=1.5), sensor="worn")
     away = source.with_object_away()

@@ -1,6 +1,7 @@
 """The pressure test: contact and force from one camera, against the simulator's solver and a sphere."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,9 @@ def test_a_sphere_has_its_curvature_and_carries_no_force():
     assert np.nanmedian(bulge) == pytest.approx(2 / 0.2, rel=0.01)
     assert np.nanmedian(largest) == pytest.approx(1 / 0.2, rel=0.02)
     assert np.nanstd(bulge) < 0.3
+    steep_m, all_of_it = surface.cells(spherical(rig, 0.12).tactile_depth, 1e-4, 0.0)
+    steep = surface.curvature(surface.fit(steep_m, all_of_it, 2.0), grid)
+    assert np.nanpercentile(steep, 95) == pytest.approx(2 / 0.12, rel=0.05), "where it slopes in both directions, too"
     rows, columns = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
     weight = np.clip((22 - np.hypot(rows - 28, columns - 42)) / 8, 0, 1)
     air, pull = surface.balance(grid.points(depth_m), weight)
@@ -59,6 +63,9 @@ def test_nothing_is_known_at_the_rim():
     known = np.isfinite(surface.fit(depth_m, share, 3.0).fit[0])
     assert known[20, 20]
     assert not known[20, 8:11].any()
+    beside = surface.inner(known)
+    assert beside[20, 20]
+    assert not beside[0].any() and not beside[:, -1].any()
 
 
 def test_force_and_contact_of_a_press_follow_the_solver(pressed):
@@ -105,6 +112,39 @@ def test_unchanged_steps_are_skipped_and_a_larger_value_finds_less(pressed):
 def test_noise_that_was_not_measured_is_a_doubt(pressed):
     rig, _, frame, untouched = pressed
     assert "noise not measured" in ContactPipeline(PRESSURE, rig, untouched).process(frame).doubt.reasons
+
+
+def test_noise_that_was_measured_nearer_counts_for_more_and_widens_the_window(pressed):
+    rig, preset, frame, untouched = pressed
+
+    def window_m(share):
+        camera = preset.noise.tactile.model_copy(update={"distance_m": share * preset.noise.tactile.distance_m})
+        nearer = preset.model_copy(update={"noise": preset.noise.model_copy(update={"tactile": camera})})
+        return ContactPipeline(nearer, rig, untouched).process(frame).pressure.window_m
+
+    assert window_m(0.8) > 1.1 * window_m(1.0)
+
+
+def test_a_tactile_camera_that_lies_on_its_side_tells_the_same_force():
+    with open_source("sim:cup?press=medium") as source:
+        rig, frame, untouched, preset = source.rig, source.next_frame(), untouched_frame(source), PRESSURE
+    lens, turn = rig.tactile.intrinsics, np.eye(4)
+    turn[:2, :2] = (0.0, -1.0), (1.0, 0.0)
+    turned = {"width": lens.height, "height": lens.width, "fx": lens.fy, "fy": lens.fx, "cx": lens.cy}
+    camera = rig.tactile.model_copy(
+        update={"intrinsics": lens.model_copy(update=turned | {"cy": lens.width - 1 - lens.cx})}
+    )
+    pose = (np.array(rig.T_proximity_tactile) @ turn).tolist()
+    on_side = Rig(**dict(rig) | {"tactile": camera, "T_proximity_tactile": pose})
+
+    def turned_frame(seen):
+        depth = np.ascontiguousarray(np.rot90(seen.tactile_depth))
+        return replace(seen, tactile_depth=depth, tactile_color=None, truth=None)
+
+    usual = ContactPipeline(preset, rig, untouched).process(frame).pressure.force_mm2
+    other = ContactPipeline(preset, on_side, turned_frame(untouched)).process(turned_frame(frame)).pressure.force_mm2
+    assert other == pytest.approx(usual, abs=0.01 * np.linalg.norm(usual))
+    assert np.hypot(*usual[:2]) > 0.02 * abs(usual[2]), "it is not only along the axis that both share"
 
 
 def claimed(patch):

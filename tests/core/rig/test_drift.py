@@ -8,10 +8,11 @@ import pytest
 
 from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
+from tactune.core.calibration.check import Drift as AlignmentDrift
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.errors import CalibrationError, FrameError
 from tactune.core.preset import Preset
-from tactune.core.rig.drift import INTERVAL_S, LOOKS, Watch, compare_with_untouched
+from tactune.core.rig.drift import INTERVAL_S, LOOKS, RigCheck, Watch, compare_with_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -39,8 +40,8 @@ def reports(watch, frames, start=0):
     ("drift", "verdict", "what", "value_m", "said"),
     [
         (Drift(), "fine", "tactile", 0.0, "as in the untouched frame"),
-        (Drift("tactile", (0.0006, 0, 0)), "camera", "tactile", 0.0006, "The tactile camera has moved by 0.6 mm"),
-        (Drift("proximity", (0, 0.001, 0)), "camera", "proximity", 0.001, "The proximity camera has moved by"),
+        (Drift("tactile", (0.0006, 0, 0)), "camera", "tactile", 0.0006, "moved by 0.6 mm right in its image"),
+        (Drift("proximity", (0, 0.001, 0)), "camera", "proximity", 0.001, "mm down in its image"),
         (Drift(apex_m=0.0076), "inflation", "inflation", 0.0070, "farther out"),
     ],
 )
@@ -57,6 +58,8 @@ def test_a_dent_is_a_touch_and_no_drift():
     now = take_snapshot([drifted(press="medium").read(index) for index in range(5)]).frame
     found = compare_with_untouched(PRESET, drifted().rig, now, untouched())
     assert found.verdict == "touched"
+    aligned = AlignmentDrift(0.1, 0.05, False, "", np.zeros((1, 2)), np.zeros((1, 2)))
+    assert RigCheck(aligned, found).state == RigCheck("no colour", found).state == "unknown"
     assert "remove it" in found.sentence
 
 

@@ -13,6 +13,7 @@ from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig import noise as noise_module
+from tactune.core.rig.bias import print_bias, scene_bias
 from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
@@ -25,6 +26,7 @@ from tactune.core.sources.simulator.source import SimulatorSource
 PRINT, OTHER = (214, 40, 160), (120, 120, 120)
 MASK = {"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255), "mask.value": (60, 255)}
 BIAS_M = 0.003
+PRINTS = ((60, 40), (90, 80), (70, 90), (110, 40))
 
 
 def field(seed, white_m, correlated_m, length_px, shape=(HEIGHT, WIDTH)):
@@ -39,7 +41,7 @@ def wall(rig, index, proximity_m=0.300, tactile_m=0.300, prints=True):
     root = math.sqrt(0.5)
     color = np.full((HEIGHT, WIDTH, 3), OTHER, np.uint8)
     if prints:
-        for u, v in ((60, 40), (90, 80), (70, 90), (110, 40)):
+        for u, v in PRINTS:
             color[v - 8 : v + 8, u - 8 : u + 8] = PRINT
     near = field(index, 0.0006, root * 0.0005, 2.0) + field(10_001, 0.0, root * 0.0005, 2.0)
     far = field(5000 + index, 0.0002, root * 0.0010, 3.0) + field(10_002, 0.0, root * 0.0010, 3.0)
@@ -119,6 +121,26 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset, pr
     assert pressed.bias_m == pytest.approx(0.0031)
     assert "3.1 ± " in describe(pressed)[2]
     assert "measured on contact" in describe(pressed)[2]
+
+
+def test_prints_that_disagree_with_each_other_tell_no_bias(rig, preset):
+    """The proximity camera looks through them, to whatever lies behind each."""
+    frame = wall(rig, 0)
+    depth = frame.proximity_depth.copy()
+    for number, (u, v) in enumerate(PRINTS):
+        depth[v - 10 : v + 10, u - 10 : u + 10] += np.uint16(number * 0.009 / rig.proximity.depth_unit_m)
+    assert print_bias([frame], rig, preset, 1e-10).origin == "prints"
+    assert print_bias([replace(frame, proximity_depth=depth)], rig, preset, 1e-10) is None
+
+
+@pytest.mark.parametrize("bias_m", [0.005, -0.005])
+def test_a_scene_tells_the_bias_only_if_it_is_not_flat(bias_m):
+    flat = np.full((HEIGHT, WIDTH), 0.3, np.float32)
+    relief = flat + np.linspace(0, 0.1, WIDTH, dtype=np.float32)
+    difference = np.full_like(flat, bias_m)
+    assert scene_bias(relief, difference, 1.0).bias_m == pytest.approx(bias_m)
+    assert scene_bias(flat, difference).bias_m == pytest.approx(bias_m)
+    assert scene_bias(flat, difference, 1.0) is None
 
 
 # The simulator's sensors

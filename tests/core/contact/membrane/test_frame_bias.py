@@ -3,12 +3,17 @@
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.chain import Region
+from tactune.core.contact.masking import in_hsv_range
+from tactune.core.contact.membrane.section import LARGEST_BIAS_M
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.contact.pixels import colors_at
+from tactune.core.model.clouds import deproject
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
@@ -96,6 +101,32 @@ def test_a_rigs_bias_that_has_changed_is_replaced_in_firm_contact():
     moved = farther(source.read(0), 0.006, source.rig.proximity.depth_unit_m)
     preset = MEMBRANE.with_value("noise", noise(0.0, 0.0003))
     assert found_bias_m(preset, moved, source) == pytest.approx(0.006, abs=0.0005)
+
+
+def test_a_bias_that_is_larger_than_any_is_taken_for_a_gap():
+    source = cup("clean")
+    for bias_m, touches in ((LARGEST_BIAS_M - 0.001, True), (LARGEST_BIAS_M + 0.001, False)):
+        moved = farther(source.read(0), bias_m, source.rig.proximity.depth_unit_m)
+        assert ContactPipeline(MEMBRANE, source.rig).process(moved).mask.any() == touches
+
+
+def test_firm_contact_speaks_against_prints_that_tell_another_bias():
+    source = cup("datasheet")
+    frame, rig = source.read(0), source.rig
+    pixels = np.flatnonzero(frame.proximity_depth)
+    colors, seen = colors_at(
+        deproject(frame.proximity_depth, rig.proximity, pixels), pixels, frame.proximity_color, rig
+    )
+    printed = np.zeros(frame.proximity_depth.shape, np.uint8)
+    printed.flat[pixels] = seen & in_hsv_range(colors, MEMBRANE.mask)
+    moved = farther(frame, 0.006, rig.proximity.depth_unit_m)
+    but_prints = np.where(cv2.dilate(printed, np.ones((15, 15))), frame.proximity_depth, moved.proximity_depth)
+    preset = MEMBRANE.with_value("noise", noise(0.003))
+    for depth, agree in ((moved.proximity_depth, True), (but_prints, False)):
+        found = ContactPipeline(preset, rig).process(replace(moved, proximity_depth=depth)).membrane
+        assert found.bias_m == pytest.approx(0.0057, abs=0.0005)
+        assert found.bias_seen == agree
+        assert (found.bias_change_m > 0.001) == agree
 
 
 @pytest.mark.parametrize("sensor", ["clean", "datasheet"])
