@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .surface import Grid, Shape
 
 #: Contact pressure exceeds its noise by this many standard deviations, and the membrane has moved by more, metres.
-PRESSURE_SIGMAS, _MOVED_M = 3.0, 0.0007
+PRESSURE_SIGMAS, _MOVED_M = 4.0, 0.0007
 #: Window of the curvature, cells: smallest and largest; that of the slopes and of the edge of contact.
 _WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.5
 #: Near the rim, windows are cut, and other errors than noise grow: the limit grows by this power of the noise's growth.

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +16,10 @@ from tactune.core.model.frames import Rig, SensorFrame, Shot
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.model.patch import Provenance
 from tactune.core.rig.untouched import untouched_frame
+from tactune.core.sources.simulator.objects import OBJECTS
 from tactune.core.sources.simulator.scene import simulator_rig
+from tactune.core.sources.simulator.scenes import MEMBRANES, Variant
+from tactune.core.sources.simulator.source import SimulatorSource
 
 PRESSURE = Preset(contact_test="pressure")
 
@@ -152,11 +156,49 @@ def claimed(patch):
     return len(patch.points) and patch.doubt.touch_probability >= 0.9 and not patch.doubt.reasons
 
 
-def test_what_hovers_is_no_contact(pressed):
-    rig, preset, _, untouched = pressed
-    with open_source("sim:cup?gap=3&cameras=tactile") as source:
-        pipeline = ContactPipeline(preset, rig, untouched)
-        assert not any(claimed(pipeline.process(source.read(number))) for number in range(5))
+COARSE = (60, 36)
+
+
+def coarse(scene="cup", **options):
+    return SimulatorSource(scene, cells=COARSE, variant=Variant(**options), cameras="tactile")
+
+
+@pytest.fixture(scope="module")
+def at_rest():
+    """The pipeline of a coarse membrane that was measured and captured untouched."""
+    with coarse(press="none") as source:
+        return ContactPipeline(measured_rig(PRESSURE, source), source.rig, untouched_frame(source))
+
+
+def test_what_hovers_is_no_contact(at_rest):
+    with coarse(gap_mm=2.0) as source:
+        found = [at_rest.process(source.read(number)) for number in range(10)]
+    assert not any(claimed(patch) for patch in found)
+    assert sum(len(patch.points) > 0 for patch in found) <= 2
+
+
+@pytest.mark.parametrize(("apex_m", "share"), [(0.0638, 1.1), (0.0562, 0.9)])
+def test_a_membrane_inflated_more_or_less_since_is_no_contact(at_rest, monkeypatch, apex_m, share):
+    with coarse(press="none") as before:
+        rest_pa = before.read(0).truth.inflation_pa
+    monkeypatch.setitem(MEMBRANES, "other", replace(MEMBRANES["standard"], apex_m=apex_m))
+    with coarse(press="none", membrane="other") as source:
+        frames = [source.read(number) for number in range(6)]
+    assert frames[0].truth.inflation_pa / rest_pa == pytest.approx(share, abs=0.01)
+    assert not any(claimed(at_rest.process(frame)) for frame in frames)
+
+
+@pytest.mark.parametrize("offset_m", [(0.170, 0.0), (0.0, 0.105), (0.0, 0.150)])
+@pytest.mark.parametrize("press", ["low", "medium"])
+def test_a_hand_on_the_rim_is_claimed_where_it_touches_or_doubted(at_rest, monkeypatch, offset_m, press):
+    monkeypatch.setitem(OBJECTS, "hand", replace(OBJECTS["hand"], offset_m=offset_m))
+    with coarse("hand", press=press) as source:
+        frames = [source.read(number) for number in range(3)]
+    for frame in frames:
+        patch = at_rest.process(frame)
+        if claimed(patch):
+            near = cv2.dilate(frame.truth.contact.view(np.uint8), np.ones((21, 21), np.uint8)) > 0
+            assert near[patch.mask].mean() > 0.8
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
