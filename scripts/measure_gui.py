@@ -23,11 +23,13 @@ from PyQt6.QtCore import QObject, Qt, QTimer
 from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.reading import FrameReader
 from tactune.core.sources.presets import default_preset, load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
 WARM_UP_FRAMES = 30
+_read = FrameReader._read
 
 
 class Meter(QObject):
@@ -37,7 +39,8 @@ class Meter(QObject):
         super().__init__(window)
         self._window, self._seconds = window, seconds
         self._left = WARM_UP_FRAMES
-        self._shown, self._started_s, self._cpu_s, self._beat_s = 0, 0.0, 0.0, 0.0
+        self._started_s, self._cpu_s, self._beat_s = 0.0, 0.0, 0.0
+        self._source_s = 0.0  # processor time of reading frames, which a simulator computes
         self._counts: list[tuple[int, int]] = []  # frames processed and dropped so far
         self.points: list[int] = []
         self.stages: dict[str, list[float]] = defaultdict(list)
@@ -47,6 +50,15 @@ class Meter(QObject):
         self._heart.setInterval(HEARTBEAT_MS)
         self._heart.timeout.connect(self._beat)
         window.context.frameShown.connect(self._frame_shown)
+
+    def read(self, reader: FrameReader, index: int) -> object:
+        """Read a frame as the reader does, and count the processor time."""
+        started = time.thread_time()
+        try:
+            return _read(reader, index)
+        finally:
+            if self._counts:
+                self._source_s += time.thread_time() - started
 
     def _frame_shown(self) -> None:
         result = self._window.result
@@ -91,6 +103,7 @@ class Meter(QObject):
             f"points            median {np.median(self.points):.0f}, most {max(self.points)}",
             f"heartbeat gap     {_spread(self.gaps_ms)} ms ({HEARTBEAT_MS} ms timer)",
             f"processor         {1e3 * self._cpu_s / shown:.2f} ms per frame shown, all threads",
+            f"of these, source  {1e3 * self._source_s / shown:.2f} ms, in which the simulator computes its frames",
             "milliseconds per frame, by the clock:",
             *(f"  {stage:<22}{_spread(values)}" for stage, values in self.stages.items()),
         ]
@@ -119,6 +132,7 @@ def main() -> None:
         window.resize(*(int(part) for part in options.size.split("x")))
         window.error_hook.install()
         meter = Meter(window, options.seconds)
+        FrameReader._read = lambda reader, index: meter.read(reader, index)  # type: ignore[method-assign]  # noqa: PLW0108  # a bound method would lose the reader
         window.show()
         window.open_source(options.source)
         application.exec()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from PyQt6.QtCore import QObject, QProcess, Qt, pyqtSignal
-from PyQt6.QtWidgets import QCheckBox, QFormLayout, QGroupBox, QSpinBox, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QFormLayout, QLabel, QSpinBox, QWidget
 
 from ...core.contact.kernels.threads import available_threads
 from ...core.errors import PresetError, TactuneError, minus
@@ -184,7 +184,7 @@ class TuneTab(AnalysisTab):
         )
         self.stop = push_button("Sto&p", "Stop the search. Its trials are kept: Start continues it (Alt+P)")
         self.use = push_button("&Use", "Put the chosen trial's values into the preset, as one undo step (Return)")
-        self._field_box = QGroupBox("Fields")
+        self._field_box = QWidget()
         self._lay_out()
         self.start.clicked.connect(self._start)
         self.stop.clicked.connect(self._stop)
@@ -221,10 +221,11 @@ class TuneTab(AnalysisTab):
         for title, entry, name in (("Tria&ls", self.trials, "Trials"), ("&Frames", self.frames, "Frames")):
             entry.setAccessibleName(name)
             form.addRow(title, entry)
-        QVBoxLayout(self._field_box).setSpacing(4)
+        vbox(within=self._field_box, margins=0, spacing=4)
         panel = QWidget()
         buttons = hbox(self.start, self.stop)
-        vbox(self._field_box, form, buttons, 12, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
+        fields = vbox(QLabel("Fields to search:"), self._field_box, spacing=4)
+        vbox(fields, form, buttons, 12, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
         across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (self.table, 1))
         vbox(self.status, (across, 1), within=self, margins=0)
 

@@ -96,7 +96,7 @@ QScrollBar::add-page, QScrollBar::sub-page { background: none; }
 QTabBar::tab { padding: 4px 8px; border: none; border-bottom: 3px solid transparent; }
 QTabBar::tab:hover { border-bottom-color: $border; }
 QTabBar::tab:selected { border-bottom-color: $accent; }
-QTabWidget::pane, QGroupBox { border: none; border-top: 1px solid $border; }
+QTabWidget::pane { border: none; border-top: 1px solid $border; }
 QHeaderView::section {
     background: $alternate; border: none; border-right: 1px solid $border; border-bottom: 1px solid $border;
     padding: 2px 4px; }

@@ -317,8 +317,9 @@ class CloudCanvas(QWidget):
                 target = QRectF(start / ratio, 0, part.width() / ratio, height / ratio)
                 painter.drawImage(target, renderer.picture(cloud, look), part)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
-        painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
+        if self.height() > 4 * _AXIS_MARGIN:  # else they would cover the cloud
+            axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
+            painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
         if self.arrow is not None:
             self._paint_arrow(painter, *self.arrow)
         if self.mark is not None:
