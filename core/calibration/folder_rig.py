@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -195,14 +194,11 @@ def _of_file(draft: _Draft, role: str, model: str, how: str, size: tuple[int, in
     draft.stated[role] = chosen, lenses
     lens = chosen.lens(size)
     rectify = {"model": chosen.model, "coefficients": list(chosen.coefficients)}
-    draft.notes.append(f"{role}: lens from {path} ({_words(chosen)}, fx {lens.intrinsics.fx:.2f} px)")
+    words = "no distortion"
+    if any(chosen.coefficients):
+        words = f"{foreign(chosen.model, 40)} with {len(chosen.coefficients)} coefficients"
+    draft.notes.append(f"{role}: lens from {path} ({words}, fx {lens.intrinsics.fx:.2f} px)")
     return _Camera(model, lens, {} if lens.table is None else {"rectify": rectify}, chosen.unit_m)
-
-
-def _words(lens: StatedLens) -> str:
-    if not any(lens.coefficients):
-        return "no distortion"
-    return f"{foreign(lens.model, 40)} with {len(lens.coefficients)} coefficients"
 
 
 def _known(model: str) -> str:
@@ -216,12 +212,9 @@ def _known(model: str) -> str:
 
 def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
     try:
-        fx, fy, cx, cy = numbers = tuple(map(float, how.split(",")))
+        fx, fy, cx, cy = map(float, how.split(","))
     except ValueError as error:
         raise CalibrationError(f"{foreign(option, 80)!r}: write four numbers, fx,fy,cx,cy in px") from error
-    for name, number in zip(("fx", "fy", "cx", "cy"), numbers, strict=True):
-        if not math.isfinite(number):
-            raise CalibrationError(f"{foreign(option, 80)!r}: {name} is {number}; write four numbers in px")
     try:
         return make_lens("none", (), (fx, 0, cx, 0, fy, cy, 0, 0, 1), size)
     except SourceError as error:
@@ -248,14 +241,8 @@ def _units(text: str | None) -> dict[str, float]:
     """Return metres per count of each camera that ``--unit`` names."""
     if text is None:
         return {}
-    parts = (
-        dict(part.partition("=")[::2] for part in text.split(","))
-        if "=" in text
-        else {
-            "proximity": text,
-            "tactile": text,
-        }
-    )
+    text = text if "=" in text else f"proximity={text},tactile={text}"
+    parts = dict(part.partition("=")[::2] for part in text.split(","))
     units: dict[str, float] = {}
     for role, value in parts.items():
         match = re.fullmatch(r"(?:1/)?([0-9.]+(?:[eE][-+]?[0-9]+)?)", value.strip())

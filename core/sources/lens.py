@@ -116,17 +116,11 @@ def camera_info_lens(message: Any, size: tuple[int, int] | None = None, *, is_re
         return None
     by_p = is_rectified and p.size == 12 and p[0] > 0
     matrix: Float64Array = p.reshape(3, 4)[:, :3].copy() if by_p else np.array(k, np.float64).reshape(3, 3)
-    roi, binning = message.roi, (max(1, message.binning_x), max(1, message.binning_y))
-    width, height = roi.width or message.width, roi.height or message.height
-    stated = width // binning[0], height // binning[1]
+    stated = _cut(matrix, (message.width, message.height), vars(message.roi), message.binning_x, message.binning_y)
     if size is not None and stated != size:
         raise SourceError(
             f"its images have {size[0]} x {size[1]} pixels, but its camera_info describes {stated[0]} x {stated[1]}"
         )
-    matrix[0, 2] -= roi.x_offset
-    matrix[1, 2] -= roi.y_offset
-    matrix[0] /= binning[0]
-    matrix[1] /= binning[1]
     model, d = ("none", ()) if by_p else (message.distortion_model, _field(message, "d"))
     return make_lens(model, d, matrix.ravel().tolist(), stated)
 
@@ -318,7 +312,8 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
     model = str(fields.get("distortion_model") or fields.get("distortion") or ("fisheye" if fisheye else "opencv"))
     scale = fields.get("depth_scale") if "cam_k" in fields else None  # BOP's is in mm; others mean other things by it
     label = f"{name} {fields.get('rostopic', '')}".strip().lower()
-    stated = _whole_matrix(matrix), _size(fields)
+    whole, size = _whole_matrix(matrix), _size(fields)
+    cut = _cut(whole, size or (0, 0), fields.get("roi") or {}, fields.get("binning_x"), fields.get("binning_y"))
     turned = fields.get("t_cn_cnm1")
     try:
         pose = None if turned is None else camera_pose(np.array(_flat(turned)).reshape(4, 4))
@@ -329,7 +324,8 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
         label,
         model,
         coefficients,
-        *_in_image(fields, *stated),
+        tuple(whole.ravel().tolist()),
+        size and cut,
         unit_m=None if scale is None else float(scale) * 1e-3,
         T_this_previous=pose,
     )
@@ -350,18 +346,13 @@ def _whole_matrix(numbers: Sequence[float]) -> Float64Array:
     return matrix
 
 
-def _in_image(
-    fields: _Fields, matrix: Float64Array, size: tuple[int, int] | None
-) -> tuple[tuple[float, ...], tuple[int, int] | None]:
-    """Return K and size of the images that an echoed camera_info describes: cut to its region, then binned."""
-    roi = fields.get("roi") or {}
-    across, down = (max(1, int(fields.get(f"binning_{axis}") or 1)) for axis in "xy")
+def _cut(matrix: Float64Array, size: tuple[int, int], roi: _Fields, binning_x: Any, binning_y: Any) -> tuple[int, int]:
+    """Bring K to the images that a camera_info describes: cut to its region, then binned; return their size."""
+    across, down = (max(1, int(each or 1)) for each in (binning_x, binning_y))
     matrix[:2, 2] -= int(roi.get("x_offset") or 0), int(roi.get("y_offset") or 0)
     matrix[0] /= across
     matrix[1] /= down
-    if size is not None:
-        size = (int(roi.get("width") or size[0]) // across, int(roi.get("height") or size[1]) // down)
-    return tuple(matrix.ravel().tolist()), size
+    return int(roi.get("width") or size[0]) // across, int(roi.get("height") or size[1]) // down
 
 
 def _size(fields: _Fields) -> tuple[int, int] | None:

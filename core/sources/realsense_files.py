@@ -9,11 +9,11 @@ from __future__ import annotations
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -75,23 +75,23 @@ def _cameras(name: str, recordings: Sequence[RecordingFile]) -> list[RecordedCam
     """Return the proximity camera and, if there are two, the tactile one, with times on one clock."""
     cameras = [camera for recording in recordings for camera in recording.cameras]
     if len(cameras) > 2 or len(cameras) < len(recordings):
-        models = ", ".join(camera.info.model for camera in cameras)
+        models = ", ".join(camera.calibration.depth.model for camera, _ in cameras)
         raise SourceError(f"{name} has {len(cameras)} depth cameras ({models}); record one or two")
-    first, last = cameras[0].info, cameras[-1].info
+    first, last = cameras[0][0].calibration.depth, cameras[-1][0].calibration.depth
     if len(cameras) == 2 and first.serial == last.serial != "":
         raise SourceError(
             f"{name}: both recordings are of the same camera, {first.model} {first.serial}; "
             "give the recording of the other camera as well"
         )
-    cameras.sort(key=lambda camera: "L515" not in camera.info.model)
-    one, other = cameras[0].depth, cameras[-1].depth
+    cameras.sort(key=lambda camera: "L515" not in camera[0].calibration.depth.model)
+    one, other = cameras[0][1], cameras[-1][1]
     times_s = _common_times(one, other, one_device=len(cameras) == 1)
     if len(recordings) == 2 and times_s[0] is one.recorded_s:
         raise SourceError(
             f"{name}: the cameras' clocks cannot be compared ({one.clock or 'unknown'} and "
             f"{other.clock or 'unknown'}); record both cameras with global time enabled"
         )
-    return [camera.recorded(its_s) for camera, its_s in zip(cameras, times_s, strict=False)]
+    return [replace(camera, times_s=its_s) for (camera, _), its_s in zip(cameras, times_s, strict=False)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Stream:
     """One image stream with both times; ``clock`` is that of the stamps or empty, ``poses`` (4, 4) by reference."""
 
     topic: str
-    images: str
+    read: Callable[[int], AnyArray]
     intrinsics: Intrinsics
     rate_hz: float
     clock: str
@@ -115,46 +115,8 @@ def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[F
     return first.recorded_s, second.recorded_s
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """One device of a file: its depth stream and, where recorded, its colour stream."""
-
-    file: RecordingFile
-    calibration: Calibration
-    depth: Stream
-    color: Stream | None
-
-    @property
-    def info(self) -> DepthCamera:
-        return self.calibration.depth
-
-    def image(self, stream: Stream, index: int) -> AnyArray:
-        """Return raw counts, uint16 (H, W), or an RGB image, uint8 (H, W, 3)."""
-        raw, shape = self.file.image(stream.images, index), stream.intrinsics.shape
-        return raw.counts(shape) if stream is self.depth else raw.color(shape)
-
-    def recorded(self, times_s: Float64Array) -> RecordedCamera:
-        """Return the camera with the times of its depth images; each has the colour image nearest to it."""
-        depth, color, partners = self.depth, self.color, np.empty(0, np.int64)
-        if color is not None:
-            partners = nearest(*_common_times(depth, color, one_device=True))
-        return RecordedCamera(
-            self.file.path,
-            self.calibration,
-            depth.rate_hz,
-            times_s,
-            lambda index: self.image(depth, index),
-            None if color is None else lambda index: self.image(color, index),
-            partners,
-        )
-
-
-class Times(NamedTuple):
-    """When the images of a stream were recorded, their own stamps, and the clock of these, empty if unknown."""
-
-    recorded_ns: Sequence[int]
-    stamps_s: Sequence[float]
-    clock: str
+#: The stamps of the images of each stream, s, and the clock of these, empty if unknown.
+Times = Mapping[str, tuple[list[float], str]]
 
 
 class RecordingFile(ABC):
@@ -180,8 +142,8 @@ class RecordingFile(ABC):
         """Return the depth unit of a sensor, or None if the recording does not say it."""
 
     @abstractmethod
-    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
-        """Return the times of streams, given and returned by their prefix; no image is decoded for this."""
+    def _times(self, topics: Collection[tuple[str, str]]) -> Times:
+        """Return the stamps of streams, given and returned by their prefix; no image is decoded for this."""
 
     @abstractmethod
     def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
@@ -191,33 +153,40 @@ class RecordingFile(ABC):
     def _pose(self, topic: str) -> Float64Array:
         """Return the 4 x 4 matrix of a pose."""
 
-    def _find_cameras(self) -> list[Camera]:
+    def _find_cameras(self) -> list[tuple[RecordedCamera, Stream]]:
         found: dict[tuple[int, str], tuple[str, str]] = {}
         for topic in sorted(self.bag.types):
             if match := _STREAM.fullmatch(topic):
                 found.setdefault((int(match[2]), match[3]), (match[1], topic))
         times = self._times(found.values()) if any(kind == "Depth" for _, kind in found) else {}
-        streams = {key: self._stream(*pair, times[pair[0]]) for key, pair in found.items() if times}
+        streams = {key: self._stream(key[1], *pair, *times[pair[0]]) for key, pair in found.items() if times}
         return [
-            self._camera(number, stream, streams.get((number, "Color")))
+            (self._camera(number, stream, streams.get((number, "Color"))), stream)
             for (number, kind), stream in sorted(streams.items())
             if kind == "Depth"
         ]
 
-    def _stream(self, topic: str, images: str, times: Times) -> Stream:
+    def _stream(self, kind: str, topic: str, images: str, stamps: list[float], clock: str) -> Stream:
         lens, rate_hz = self._lens(topic)
         lens["distortion"] = Distortion(lens["distortion"].lower().replace(" ", "_"))
         lens["coefficients"] = tuple(map(float, lens["coefficients"]))
-        recorded_s, stamps_s = np.array(times.recorded_ns) * 1e-9, np.array(times.stamps_s)
+        recorded_s, stamps_s = np.array(self.bag.times_ns(images) * 1e-9), np.array(stamps)
         # The first images of a camera may be on its own clock, until the driver knows its offset to the computer's.
         ahead_s = stamps_s - recorded_s
         usual_s = np.median(ahead_s)
         stamps_s = np.where(np.abs(ahead_s - usual_s) > _OTHER_CLOCK_S, recorded_s + usual_s, stamps_s)
         prefix = f"{topic}/tf/"
         poses = {name.removeprefix(prefix): self._pose(name) for name in self.bag.types if name.startswith(prefix)}
-        return Stream(topic, images, Intrinsics(**lens), rate_hz, times.clock, stamps_s, recorded_s, poses)
+        intrinsics = Intrinsics(**lens)
 
-    def _camera(self, number: int, depth: Stream, color: Stream | None) -> Camera:
+        def read(index: int) -> AnyArray:
+            image = self.image(images, index)
+            return image.counts(intrinsics.shape) if kind == "Depth" else image.color(intrinsics.shape)
+
+        return Stream(topic, read, intrinsics, rate_hz, clock, stamps_s, recorded_s, poses)
+
+    def _camera(self, number: int, depth: Stream, color: Stream | None) -> RecordedCamera:
+        """Return a camera with the stamps of its depth images; each has the colour image nearest to it."""
         unit_m = self._depth_unit_m(depth.topic.rpartition("/")[0])
         if unit_m is None:
             raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
@@ -228,14 +197,17 @@ class RecordingFile(ABC):
             intrinsics=depth.intrinsics,
             depth_unit_m=unit_m,
         )
-        if color is None:
-            return Camera(self, Calibration(info), depth, None)
-        common = color.poses.keys() & depth.poses.keys()
-        if not common:
-            raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
-        reference = min(common)
-        pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
-        return Camera(self, Calibration(info, color.intrinsics, pose), depth, color)
+        calibration, partners = Calibration(info), np.empty(0, np.int64)
+        if color is not None:
+            common = color.poses.keys() & depth.poses.keys()
+            if not common:
+                raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
+            reference = min(common)
+            pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
+            calibration = Calibration(info, color.intrinsics, pose)
+            partners = nearest(*_common_times(depth, color, one_device=True))
+        read_color = None if color is None else color.read
+        return RecordedCamera(self.path, calibration, depth.rate_hz, depth.stamps_s, depth.read, read_color, partners)
 
 
 def open_recording(path: Path, progress: Progress | None = None) -> RecordingFile:
@@ -288,7 +260,7 @@ class BagFile(RecordingFile):
     def _pose(self, topic: str) -> Float64Array:
         return matrix_of(self._first(topic))
 
-    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
+    def _times(self, topics: Collection[tuple[str, str]]) -> Times:
         """Read the stamp of every image, in the order of the file, and the clock of the last one."""
         stamps_s: dict[tuple[str, int], float] = {}
         wanted = self.bag.in_order_of_file([images for _, images in topics])
@@ -296,7 +268,7 @@ class BagFile(RecordingFile):
             stamps_s[images, index] = self.bag.stamp_ns(images, index) * 1e-9
             if self.progress is not None and done % 1000 == 0:
                 self.progress(done / len(wanted), f"indexing {self.path.name}")
-        times: dict[str, Times] = {}
+        times: dict[str, tuple[list[float], str]] = {}
         for topic, images in topics:
             about = f"{topic}/image/metadata"
             # Cameras write two dozen facts for every image.
@@ -304,7 +276,7 @@ class BagFile(RecordingFile):
             last = np.flatnonzero(written_ns == written_ns[-1:])
             facts = dict(_key_value(self.bag.raw(about, int(index))) for index in last)
             stamps = [stamps_s[images, index] for index in range(self.bag.count(images))]
-            times[topic] = Times(self.bag.times_ns(images).tolist(), stamps, facts.get("timestamp_domain", ""))
+            times[topic] = stamps, facts.get("timestamp_domain", "")
         return times
 
     def _first(self, topic: str) -> Any:
@@ -349,8 +321,8 @@ class Db3File(RecordingFile):
         matrix[:3, 3] = _numbers(facts, "translation")
         return matrix
 
-    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
-        times: dict[str, Times] = {}
+    def _times(self, topics: Collection[tuple[str, str]]) -> Times:
+        times: dict[str, tuple[list[float], str]] = {}
         for done, (topic, images) in enumerate(topics, start=1):
             about = f"{topic}/image/metadata"
             written_ns, recorded_ns = self.bag.times_ns(about), self.bag.times_ns(images)
@@ -359,7 +331,7 @@ class Db3File(RecordingFile):
             if not np.isfinite(stamps_s).all():
                 raise DamagedFileError(f"an image of {topic} has no time stamp")
             clock = facts[int(recorded_ns[-1])].get("timestamp_domain", "")
-            times[topic] = Times(recorded_ns.tolist(), stamps_s, clock)
+            times[topic] = stamps_s, clock
             if self.progress is not None:
                 self.progress(done / len(topics), f"indexing {self.path.name}: stream {done} of {len(topics)}")
         return times

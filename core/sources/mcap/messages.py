@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array
+from ..base import Progress
 
 #: Names of the metadata record and the attachments inside a recording.
 METADATA_NAME: Final = "tactune"
@@ -141,12 +142,23 @@ class Bag(ABC):
 
     def stamp_ns(self, topic: str, index: int) -> int:
         """Return the stamp in the header with which a message begins; no image is unpacked for it."""
-        return self._stamp_ns(topic, self.raw(topic, index))
+        return stamp_ns(self.raw(topic, index), is_ros1=self.is_ros1(topic))
 
-    def _stamp_ns(self, topic: str, data: bytes | memoryview) -> int:
-        order = "<" if self.is_ros1(topic) or data[1] & 1 else ">"  # the second byte of CDR
-        seconds, nanoseconds = struct.unpack_from(order + "II", data, 4)  # both put four bytes in front
-        return int(seconds) * 10**9 + int(nanoseconds)
+    def stamps_s(self, topic: str, progress: Progress | None = None) -> Float64Array:
+        """Return the stamp of each message of a topic, seconds."""
+        stamps_ns: Int64Array = np.empty(self.count(topic), np.int64)
+        for index in range(len(stamps_ns)):
+            if progress is not None and index % 100 == 0:
+                progress(index / len(stamps_ns), f"reading the time stamps of {topic}")
+            stamps_ns[index] = self.stamp_ns(topic, index)
+        return np.asarray(stamps_ns * 1e-9, np.float64)
+
+
+def stamp_ns(data: bytes | memoryview, *, is_ros1: bool = False) -> int:
+    """Return the stamp in the header with which a message begins."""
+    order = "<" if is_ros1 or data[1] & 1 else ">"  # the second byte of CDR
+    seconds, nanoseconds = struct.unpack_from(order + "II", data, 4)  # both put four bytes in front
+    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 @cache

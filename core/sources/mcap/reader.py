@@ -29,7 +29,7 @@ from ...errors import SourceError, TactuneError
 from ...model.arrays import Int64Array, Uint64Array
 from ..base import Progress
 from ..ros_image import damage_told
-from .messages import Bag, long_name
+from .messages import Bag, long_name, stamp_ns
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
@@ -108,7 +108,7 @@ class McapBag(Bag):
             if self._read(chunk + 28, 4) == b"\0\0\0\0":  # the length of the compression's name
                 head = self._read(chunk + 40 + offset, 43)
                 if head[0] == Opcode.MESSAGE:
-                    return self._stamp_ns(topic, head[31:])
+                    return stamp_ns(head[31:], is_ros1=self.is_ros1(topic))
         return super().stamp_ns(topic, index)
 
     def attachment(self, name: str) -> bytes | None:

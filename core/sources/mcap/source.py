@@ -148,10 +148,10 @@ class McapSource(RecordedSource):
         def times_s(topic: Topic) -> Float64Array:
             if is_exact:
                 return np.asarray((self._bag.times_ns(topic) - log_ns[0]) * 1e-9, np.float64)
-            numbers = range(self._bag.count(topic))
             if topic == Topic.FRAME:
-                return np.array([self._frame_record(number)[1] for number in numbers], np.float64)
-            return np.array([1e-9 * self._bag.stamp_ns(topic, number) for number in numbers], np.float64)
+                records = map(self._frame_record, range(self._bag.count(topic)))
+                return np.array([time_s for _, time_s, _ in records], np.float64)
+            return self._bag.stamps_s(topic)
 
         first, second = times_s(near), times_s(Topic.TACTILE_DEPTH)
         farthest_s = 0.0 if is_exact else min(period_s(first), period_s(second)) / 2

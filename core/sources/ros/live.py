@@ -6,7 +6,6 @@ A camera is what publishes a topic of depth images. Threads, pairing and reopeni
 from __future__ import annotations
 
 import os
-import struct
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -28,7 +27,7 @@ from ..cameras.pairing import period_s
 from ..cameras.source import CameraSource
 from ..capture.source import ProcessSource
 from ..lens import Lens, camera_info_lens
-from ..mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag
+from ..mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
 from ..ros_image import FLOAT_UNIT_M, RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .source import COUNT_UNIT_M, Frames
@@ -315,8 +314,7 @@ class _Stream:
     def take(self) -> None:
         """Add the images that have come to those that wait."""
         for data in self.reader.take():
-            seconds, nanoseconds = struct.unpack_from("<II" if data[1] & 1 else ">II", data, 4)
-            self.waiting.append(_Message(seconds + 1e-9 * nanoseconds, time.monotonic(), data))
+            self.waiting.append(_Message(1e-9 * stamp_ns(data), time.monotonic(), data))
 
     def find_lens(self) -> Lens | None:
         """Return the lens; None until a message that is filled in has come."""

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ...errors import SourceError, foreign
-from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint8Array
+from ...model.arrays import AnyArray, Float64Array, IndexArray, Uint8Array
 from ...model.files import recording_files, user_path
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ..base import Progress
@@ -110,7 +110,7 @@ def inspect_recording(text: str, progress: Progress | None = None) -> Inspection
         return None
     with closing(open_bag(paths, progress)) as bag, damage_told(path, "it is damaged"):
         images, frames = survey(bag), Frames(bag)
-        guess, gap = guess_topics(images, lambda a, b: frames.pose(a, b) is not None)
+        guess, gap = guess_topics(images, frames.joined)
         pictures = {}
         for image in images:
             with suppress(Exception):  # one that is damaged or of an unknown encoding is listed without a picture
@@ -276,15 +276,10 @@ class _Cameras:
         raise SourceError(f"{self._path}: {topic} states no lens: all its numbers are 0; name another topic")
 
     def _stamps_s(self, topic: str) -> Float64Array:
-        count = self._bag.count(topic)
-        stamps_ns: Int64Array = np.empty(count, np.int64)
-        for index in range(count):
-            if self._progress is not None and index % 100 == 0:
-                self._progress(index / count, f"reading the time stamps of {topic}")
-            stamps_ns[index] = self._bag.stamp_ns(topic, index)
-        if count and not stamps_ns.any():
+        stamps_s = self._bag.stamps_s(topic, self._progress)
+        if len(stamps_s) and not stamps_s.any():
             raise SourceError(f"{self._path}: the images on {topic} have no time stamps in their headers")
-        return np.asarray(stamps_ns * 1e-9, np.float64)
+        return stamps_s
 
     def _read(self, topic: ImageTopic, lens: Lens, index: int) -> AnyArray:
         """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3)."""

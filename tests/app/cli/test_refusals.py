@@ -67,7 +67,7 @@ REFUSED = [
     ("tune", "give --source"),
     ("preset suggest --source IN --out IN/rig.json", "already there"),
     ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=1,1,31,23", "a view of"),
-    ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=nan,1,31,23", "fx is nan"),
+    ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=nan,1,31,23", "not finite"),
     ("preset create-rig IN --proximity L515=none", "none"),
     *((f"preset new --rig IN --out OUT/a.json --set {setting}", named) for setting, named in SETTINGS),
 ]

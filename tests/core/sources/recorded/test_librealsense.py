@@ -38,8 +38,7 @@ def test_the_real_bag_is_what_is_known_of_it(open_bag, real_bag):
 
 def color_at(camera, index):
     """The colour image nearest to a depth image, in the colour camera's own pixels."""
-    nearest = int(np.argmin(np.abs(camera.color.recorded_s - camera.depth.recorded_s[index])))
-    return camera.image(camera.color, nearest)
+    return camera.color(int(camera.partners[index]))
 
 
 @needs_a_driver
@@ -50,7 +49,7 @@ def test_a_recording_is_as_librealsense_plays_it(open_bag, real_bag, tmp_path, w
     depth_ms, color_ms = theirs["Depth_times_ms"], theirs["Color_times_ms"]
     assert source.length == len(depth_ms)
     with closing(open_recording(path)) as file:
-        [camera] = file.cameras
+        [(camera, _)] = file.cameras
         for index, frame in enumerate(source):
             time_ms = frame.tactile_time_s * 1e3
             depth, color = int(np.argmin(np.abs(depth_ms - time_ms))), int(np.argmin(np.abs(color_ms - time_ms)))
@@ -74,7 +73,7 @@ def test_recordings_of_three_versions_hold_what_was_sent(open_bag, name, unit_m)
     assert source.length == 3
     assert source.frame_rate_hz == 30.0
     with closing(open_recording(FIXTURES / name)) as file:
-        colors = [color_at(file.cameras[0], index) for index in range(3)]
+        colors = [color_at(file.cameras[0][0], index) for index in range(3)]
     for index in (2, 0, 1):
         depth, color = images(name, index, (48, 32))
         frame = source.read(index)
