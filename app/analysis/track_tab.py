@@ -19,7 +19,7 @@ from ...core.errors import MissingExtraError, as_sentence, minus
 from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error, pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
-from ...core.sources.simulator.scenes import read_name, resolve_scene, source_options
+from ...core.sources.simulator.scenes import read_name, resolve_scene
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
@@ -65,7 +65,7 @@ def read_model(path: Path, progress: Progress) -> Model:
 def simulated_model(name: str, progress: Progress) -> Model:
     """Make the mesh of a simulated source's object, such as that of ``sim:cup?move=slide``."""
     progress(0.1, "Meshing the simulated object")
-    options = source_options(read_name(name.removeprefix("live:").removeprefix("sim:")))
+    options = read_name(name.removeprefix("live:").removeprefix("sim:"))
     return _shown(simulated_mesh(resolve_scene(options["scene"], options["variant"]), options["scene"]))
 
 

@@ -120,9 +120,9 @@ def faults(
     """Lay twelve faults over simulated touches and hovers, and count wrong patches that carry no doubt."""
     from ...core.lab.faults import faults_text, try_faults
     from ...core.sources.presets import load_preset
-    from ...core.sources.simulator.scenes import read_name, source_options
+    from ...core.sources.simulator.scenes import read_name
 
-    source_options({**read_name(""), "sensor": sensor})  # refuses an unknown sensor
+    read_name(f"?sensor={sensor}")  # refuses an unknown sensor
     preset = load_preset("simulator").with_values(parse_settings(settings))
     outcomes: list[Outcome] = []
     for fault in try_faults(preset, sensor, held_out=held_out):

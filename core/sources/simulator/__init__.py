@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def _open(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
-    from .scenes import read_name, source_options  # not above: it compiles kernels' modules
+    from .scenes import read_name  # not above: it compiles kernels' modules
     from .source import SimulatorSource
 
-    return SimulatorSource(progress=progress, **source_options(read_name(rest)))
+    return SimulatorSource(progress=progress, **read_name(rest))
 
 
 KIND = SourceKind(

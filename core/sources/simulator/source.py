@@ -37,7 +37,7 @@ from .membrane import Membrane, MembraneDesign
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
-from .scenes import Scene, Variant, name_values, resolve_scene, write_name
+from .scenes import Scene, Variant, resolve_scene, write_name
 from .sensors import DEFAULT_SENSOR, SENSORS, SensorModel
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
@@ -87,7 +87,7 @@ class SimulatorSource(SeekableSource):
     ) -> None:
         variant = variant or Variant()
         self.scene = resolve_scene(scene, variant, cells)
-        name = write_name(name_values(scene, variant, sensor, seed, noise, cameras))
+        name = write_name(scene, variant, sensor, seed, noise, cameras)
         self._both = simulator_rig()
         rig = self._both if cameras == "two" else Rig.of_one_camera(self._both.tactile)
         super().__init__(name, rig, len(self.scene.frames))
