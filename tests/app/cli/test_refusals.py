@@ -8,7 +8,7 @@ import pytest
 
 SETTINGS = [
     ("mask.hues=[1,2]", "mask.hue?"),
-    ("tolerance.t=7", "0 to 1"),
+    ("tolerance.t=7", "equal to 1"),
     ("tolerance.t=NaN", "tolerance.t"),
     ("mask.hue=[1,180]", "mask.hue[1]"),
     ("outliers.k=2.5", "outliers.k"),
