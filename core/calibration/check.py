@@ -15,7 +15,6 @@ from ..model.frames import Rig, SensorFrame
 from ..preset import AlignmentSection, Preset
 from .agreement import held_out_px, regions_of
 from .geometry import Alignment, clicks_in_depth, named_sides
-from .points import PointArrays
 from .report import CalibrationReport, millimetres_per_pixel
 from .texture import measure_pairs
 
@@ -60,7 +59,8 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
             f"only {len(points)} places look alike in both colour images; "
             "light the membrane evenly and check that both cameras see it, then calibrate again if that does not help"
         )
-    offsets = _offsets(points, alignment, pose, rig)
+    found = clicks_in_depth(rig, points.proximity, points.in_color, pose.points_m(rig, points.places))
+    offsets = np.asarray(found - alignment.pixels(rig, points.places))
     lengths = np.hypot(*offsets.T)
     drift = float(np.median(lengths))
     drift_mm = float(np.median(lengths * millimetres_per_pixel(points.tactile_depth_m, rig)))
@@ -173,9 +173,3 @@ def _way(offsets: Float64Array, drift: float) -> str:
     """Return which way the offsets, (N, 2), point in the proximity image; empty where they do not agree."""
     way = np.median(offsets, axis=0)
     return f" to the {named_sides(*way)} in the proximity image" if np.hypot(*way) > drift / 2 else ""
-
-
-def _offsets(points: PointArrays, alignment: Alignment, pose: Alignment, rig: Rig) -> Float64Array:
-    """Return found minus predicted proximity depth pixel, shape (N, 2)."""
-    found = clicks_in_depth(rig, points.proximity, points.in_color, pose.points_m(rig, points.places))
-    return np.asarray(found - alignment.pixels(rig, points.places))

@@ -79,7 +79,10 @@ def parse_rig(data: dict[str, Any], origin: str) -> Rig:
     nested = dict(data)
     for key in ("proximity", "tactile", "proximity_color"):
         if isinstance(nested.get(key), dict):
-            nested[key] = _nest_lens(nested[key])
+            flat = nested[key].items()
+            lens = {name: value for name, value in flat if name in _LENS_FIELDS}
+            rest = {name: value for name, value in flat if name not in (*_LENS_FIELDS, *_FOLDER_FIELDS)}
+            nested[key] = {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
     try:
         if nested.keys() == {"tactile"}:
             camera = DepthCamera.model_validate_json(json.dumps(nested["tactile"]), strict=True)
@@ -99,13 +102,6 @@ def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:
     if not any(intrinsics.coefficients):
         del data["coefficients"]
     return data
-
-
-def _nest_lens(flat: dict[str, Any]) -> dict[str, Any]:
-    """Move the lens fields of a flat camera to ``intrinsics``, where the model has them."""
-    lens = {key: value for key, value in flat.items() if key in _LENS_FIELDS}
-    rest = {key: value for key, value in flat.items() if key not in (*_LENS_FIELDS, *_FOLDER_FIELDS)}
-    return {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
 
 
 def validation_sentence(error: ValidationError, origin: str, what: str) -> str:

@@ -190,7 +190,13 @@ def _camera_noise(
         raise FrameError(
             f"the {role} camera sees depth in only {100 * seen.mean():.1f} % of its image; check that it sees the scene"
         )
-    deviation = _temporal_deviation(depths)
+    total, count = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
+    for before, after in pairwise(depths):
+        difference = after - before
+        known = np.isfinite(difference)
+        total += np.where(known, difference, 0) ** 2
+        count += known
+    deviation = np.asarray(np.sqrt(total / np.maximum(2 * count, 1)), np.float32)
     if membrane_m is None:
         distance_m = float(np.median(mean[seen]))
         growth = np.asarray((mean / distance_m) ** 2, np.float32)
@@ -232,17 +238,6 @@ def _metres(images: Sequence[Uint16Array], camera: DepthCamera) -> Float32Array:
         np.multiply(counts, np.float32(camera.depth_unit_m), out=depth)
         depth[~valid_depth(counts)] = np.nan
     return depths
-
-
-def _temporal_deviation(depths: Float32Array) -> Float32Array:
-    """Return each pixel's standard deviation over the frames, from the differences of successive frames, metres."""
-    total, count = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
-    for before, after in pairwise(depths):
-        difference = after - before
-        known = np.isfinite(difference)
-        total += np.where(known, difference, 0) ** 2
-        count += known
-    return np.asarray(np.sqrt(total / np.maximum(2 * count, 1)), np.float32)
 
 
 def _growth(mean: Float32Array, deviation: Float32Array, seen: BoolArray, distance_m: float) -> Float32Array:

@@ -69,7 +69,9 @@ class McapSource(RecordedSource):
             resources.callback(self._bag.close)
             self._check_topics(Topic.TACTILE_DEPTH)
             self._about = self._bag.metadata.get(METADATA_NAME, {})
-            self._refuse_newer_format()
+            version = self._about.get("format_version", str(FORMAT_VERSION))
+            if version != str(FORMAT_VERSION):
+                raise SourceError(f"{self._path} has the format version {version}; open it with a newer Tactune")
             rig = self._read_rig()
             if rig.has_proximity:
                 self._check_topics(Topic.PROXIMITY_DEPTH)
@@ -180,11 +182,6 @@ class McapSource(RecordedSource):
         if 0.0 < named_hz < math.inf:
             return named_hz
         return 1 / period_s(times_s) if len(times_s) > 1 else 0.0
-
-    def _refuse_newer_format(self) -> None:
-        version = self._about.get("format_version", str(FORMAT_VERSION))
-        if version != str(FORMAT_VERSION):
-            raise SourceError(f"{self._path} has the format version {version}; open it with a newer Tactune")
 
     def _read_rig(self) -> Rig:
         data = self._bag.attachment(RIG_NAME)
