@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections import deque
 from dataclasses import asdict
 from pathlib import Path
@@ -303,20 +304,20 @@ def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSou
 
 def _paint(words: list[str]) -> PaintSettings:
     """Turn ``NAME=VALUE`` texts such as ``hue=[150,179]`` into settings; the others keep their defaults."""
-    from ...core.lab.scan import PaintSettings
+    from pydantic import ValidationError
+
+    from ...core.lab.scan import PAINT, PaintSettings
+    from ...core.model.rig_file import validation_sentence
     from ...core.preset.preset import json_or_word
 
-    values: Record = {}
+    values = PAINT.model_dump()
     for word in words:
         name, _, text = word.partition("=")
-        if name not in PaintSettings.__dataclass_fields__:
-            raise TactuneError(f"--paint knows no {name!r}; known are {', '.join(PaintSettings.__dataclass_fields__)}")
         values[name] = json_or_word(text)
-        if name in ("least_area_mm2", "largest") and not isinstance(values[name], int | float):
-            raise TactuneError(f"--paint {word}: write a number, such as {name}=2")
-    settings = PaintSettings(**values)
-    settings.color_range()
-    return settings
+    try:
+        return PaintSettings.model_validate_json(json.dumps(values))
+    except ValidationError as error:
+        raise TactuneError(validation_sentence(error, "--paint", "paint")) from error
 
 
 # Speed

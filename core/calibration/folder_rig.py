@@ -241,8 +241,8 @@ def _units(text: str | None) -> dict[str, float]:
     """Return metres per count of each camera that ``--unit`` names."""
     if text is None:
         return {}
-    text = text if "=" in text else f"proximity={text},tactile={text}"
-    parts = dict(part.partition("=")[::2] for part in text.split(","))
+    both = text if "=" in text else f"proximity={text},tactile={text}"
+    parts = dict(part.partition("=")[::2] for part in both.split(","))
     units: dict[str, float] = {}
     for role, value in parts.items():
         match = re.fullmatch(r"(?:1/)?([0-9.]+(?:[eE][-+]?[0-9]+)?)", value.strip())

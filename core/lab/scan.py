@@ -10,15 +10,16 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ..calibration.geometry import moved
 from ..contact.masking import in_hsv_range
 from ..errors import MissingExtraError, SourceError, TactuneError
 from ..estimation.object_mesh import load_meshes, merge, triangle_areas
@@ -110,29 +111,19 @@ def _subdivided(mesh: Any, path: Path | str) -> Any:
 # Paint
 
 
-@dataclass(frozen=True)
-class PaintSettings:
+class PaintSettings(MaskSection):
     """Colour of the touched paint, least area of spots and holes, and how many spots are kept, 0: all."""
 
-    hue: tuple[int, int] = (150, 179)
-    saturation: tuple[int, int] = (40, 255)
-    value: tuple[int, int] = (60, 255)
-    least_area_mm2: float = 20.0
-    largest: int = 0
-
-    def color_range(self) -> MaskSection:
-        """Return the colour range; raises a `TactuneError` for an invalid one."""
-        try:
-            return MaskSection(hue=self.hue, saturation=self.saturation, value=self.value)
-        except ValidationError as error:
-            first = error.errors()[0]
-            name = ".".join(map(str, first["loc"])) or "range"
-            raise TactuneError(f"the paint's {name} is invalid: {first['msg']}; it is {first['input']!r}") from error
+    least_area_mm2: Annotated[float, Field(ge=0.0)] = 20.0
+    largest: Annotated[int, Field(ge=0)] = 0
 
 
-def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
+PAINT: Final = PaintSettings(hue=(150, 179), saturation=(40, 255), value=(60, 255))
+
+
+def painted_contact(scan: Scan, paint: PaintSettings = PAINT) -> BoolArray:
     """Tell which vertices are touched paint, (N,): small holes are filled, small spots removed, the largest kept."""
-    contact = in_hsv_range(scan.colors[None], paint.color_range())[0]
+    contact = in_hsv_range(scan.colors[None], paint)[0]
     least_m2 = 1e-6 * paint.least_area_mm2
     thirds = np.repeat(scan.areas_m2 / 3, 3)
     shares: Float64Array = np.bincount(scan.triangles.ravel(), thirds, minlength=len(scan.vertices_m)).astype(
@@ -188,11 +179,6 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 # Pose and scores
 
 
-def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
-    matrix = np.asarray(pose)
-    return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
-
-
 def load_transform(path: Path | str) -> Matrix4:
     """Read a rigid transform in metres: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers."""
     try:
@@ -222,7 +208,7 @@ class ScanTruth:
 def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
     """Transform a scan's contact to the proximity frame by ``T_proximity_scan``."""
     found, normals = surface_points(scan, contact)
-    points = transformed(pose, found)
+    points = moved(pose, found)
     if len(points) and points[:, 2].min() <= 0:
         raise TactuneError(
             "the transform puts the scan's contact behind the proximity camera; it must take the scan's frame, in "

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import cv2
@@ -136,14 +136,14 @@ def average_still(frames: Sequence[SensorFrame]) -> tuple[SensorFrame, int]:
         still.append(frame)
     if len(still) == 1:
         return newest, 1
-    median = take_snapshot(still).frame
-    return (
-        SensorFrame(
-            newest.sequence, median.proximity_depth, median.tactile_depth, median.proximity_color, median.tactile_color,
-            newest.proximity_time_s, newest.tactile_time_s, newest.truth,
-        ),
-        len(still),
-    )  # fmt: skip
+    median = replace(
+        take_snapshot(still).frame,
+        sequence=newest.sequence,
+        proximity_time_s=newest.proximity_time_s,
+        tactile_time_s=newest.tactile_time_s,
+        truth=newest.truth,
+    )
+    return median, len(still)
 
 
 def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:

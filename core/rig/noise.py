@@ -190,13 +190,13 @@ def _camera_noise(
         raise FrameError(
             f"the {role} camera sees depth in only {100 * seen.mean():.1f} % of its image; check that it sees the scene"
         )
-    total, count = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
+    squares, pairs = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
     for before, after in pairwise(depths):
         difference = after - before
         known = np.isfinite(difference)
-        total += np.where(known, difference, 0) ** 2
-        count += known
-    deviation = np.asarray(np.sqrt(total / np.maximum(2 * count, 1)), np.float32)
+        squares += np.where(known, difference, 0) ** 2
+        pairs += known
+    deviation = np.asarray(np.sqrt(squares / np.maximum(2 * pairs, 1)), np.float32)
     if membrane_m is None:
         distance_m = float(np.median(mean[seen]))
         growth = np.asarray((mean / distance_m) ** 2, np.float32)

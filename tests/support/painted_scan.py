@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import trimesh
 
-from tactune.core.lab.scan import transformed
+from tactune.core.calibration.geometry import moved
 from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array
 from tactune.core.sources.simulator.objects import object_surface, to_surface
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -43,7 +43,7 @@ def _touched(source: SimulatorSource, index: int, points: Float64Array) -> BoolA
     truth, pose = source.read(index).truth, source.facts(index).T_proximity_object
     assert truth is not None
     assert truth.depth_m is not None
-    seen = transformed(pose, points)
+    seen = moved(pose, points)
     outward = to_surface(source.scene.pressed.kind, points) @ np.asarray(pose)[:3, :3].T
     u, v = source.rig.proximity.intrinsics.project(seen).astype(np.float32).T
     share = _looked_up(truth.contact.astype(np.float32), u, v, cv2.INTER_LINEAR)

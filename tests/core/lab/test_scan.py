@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from painted_scan import PINK, PURPLE, write_painted_scan
+from tactune.core.calibration.geometry import moved
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.lab.scan import (
-    PaintSettings,
+    PAINT,
     Scan,
     load_scan,
     load_transform,
     painted_contact,
     scan_truth,
     surface_points,
-    transformed,
 )
 from tactune.core.model.clouds import pixel_areas_m2, truth_cloud
 from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m
@@ -65,7 +65,7 @@ def area_mm2(scan, contact):
 )
 def test_small_spots_and_holes_go_and_the_largest_stay(least, largest, expected):
     scan = plate(spots)
-    contact = painted_contact(scan, PaintSettings(least_area_mm2=least, largest=largest))
+    contact = painted_contact(scan, PAINT.model_copy(update={"least_area_mm2": least, "largest": largest}))
     assert area_mm2(scan, contact) == pytest.approx(expected, abs=30)
 
 
@@ -78,7 +78,7 @@ def test_a_texture_colours_a_surface(tmp_path):
     picture[:, :60] = PINK
     cv2.imwrite(str(tmp_path / "a.png"), picture[..., ::-1])
     scan = load_scan(tmp_path / "a.obj")
-    points, _ = surface_points(scan, painted_contact(scan, PaintSettings()))
+    points, _ = surface_points(scan, painted_contact(scan))
     assert points[:, 0].max() == pytest.approx(0.030, abs=0.002)
 
 
@@ -105,10 +105,10 @@ def direct_mm(source):
 def test_a_scan_shows_the_solvers_contact(source, painted):
     scan, pose = load_scan(painted[0]), load_transform(painted[1])
     np.testing.assert_array_equal(pose, source.facts(FRAME).T_proximity_object)
-    contact = painted_contact(scan, PaintSettings())
+    contact = painted_contact(scan)
     truth = truth_cloud(source.read(FRAME).truth, source.rig).points
     # Points 0.6 mm apart, as the truth's pixels are, lie 0.27 mm from the nearest of others on the same surface.
-    assert symmetric_rmse_m(transformed(pose, surface_points(scan, contact)[0]), truth) < 0.35e-3
+    assert symmetric_rmse_m(moved(pose, surface_points(scan, contact)[0]), truth) < 0.35e-3
     area_mm2 = 1e6 * pixel_areas_m2(truth[:, 2], source.rig.proximity.intrinsics).sum()
     assert scan_truth(scan, contact, pose).area_mm2 == pytest.approx(area_mm2, rel=0.03)
 
