@@ -21,8 +21,7 @@ from typing import Any, Final
 from ...errors import SourceError, TactuneError
 from ...model.frames import Rig, SensorFrame
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
-from .child import main
-from .protocol import SLOTS, Call, Ended, FrameReady, Opened, Opener, Opening, Reply, read_frame
+from .child import SLOTS, Call, Ended, FrameReady, Opened, Opener, Opening, Reply, main, read_frame
 
 #: Longest queue of frames; then the oldest frame is dropped.
 _MAX_WAITING: Final = SLOTS - 2

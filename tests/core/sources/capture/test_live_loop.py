@@ -6,8 +6,8 @@ import pytest
 from capture_sources import Troubled, make_frame, make_rig, recorded
 from tactune.core.errors import SourceError
 from tactune.core.sources.capture import live
+from tactune.core.sources.capture.child import create_memory, read_frame, write_frame
 from tactune.core.sources.capture.live import LiveLoop
-from tactune.core.sources.capture.protocol import create_memory, read_frame, write_frame
 from tactune.core.sources.registry import open_source
 
 RIG = make_rig()

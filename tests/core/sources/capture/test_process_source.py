@@ -18,7 +18,7 @@ from capture_sources import (
     same_frame,
 )
 from tactune.core.errors import MissingExtraError, SourceError
-from tactune.core.sources.capture.protocol import create_memory, read_frame, write_frame
+from tactune.core.sources.capture.child import create_memory, read_frame, write_frame
 from tactune.core.sources.capture.source import ProcessSource
 
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
