@@ -27,7 +27,6 @@ from .report import (
     ModelQuality,
     PairQuality,
     bound,
-    coverage,
     membrane_places,
     millimetres_per_pixel,
     patch_effect,
@@ -106,7 +105,7 @@ def calibrate(
     places = membrane_places(points.tactile, points.tactile_depth_m, rig) if membrane is None else np.asarray(membrane)
     fits: dict[ModelName, Fit | None] = {"homography": homography, "rigid": rigid}
     quality = {name: _quality(name, fit, places, rigid) for name, fit in fits.items() if fit is not None}
-    covered = coverage(clicked.proximity, points.tactile_depth_m, rig)
+    known_m = points.tactile_depth_m[np.isfinite(points.tactile_depth_m)]
     recommended, reason = _recommend(quality, refused)
     return CalibrationReport(
         model=recommended if model == "auto" else model,
@@ -114,7 +113,7 @@ def calibrate(
         reason=reason,
         quality=quality,
         refused={name: text for name, text in refused.items() if text},
-        coverage=covered,
+        depth_span_mm=1e3 * float(np.ptp(known_m)) if len(known_m) else 0.0,
         depth_offset=offset,
         warnings=_warnings(used, rigid, rig),
         pairs=tuple(pair for pair in pairs if pair.complete),

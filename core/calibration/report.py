@@ -123,32 +123,6 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
     )
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """Number of points in each part of a 3 x 4 grid over the proximity image, and their range of tactile depth."""
-
-    cells: tuple[tuple[int, ...], ...]
-    depth_range_m: tuple[float, float] | None
-
-    @property
-    def depth_span_mm(self) -> float:
-        """Range of the tactile depths, millimetres; 0 without depths."""
-        return 0.0 if self.depth_range_m is None else 1e3 * (self.depth_range_m[1] - self.depth_range_m[0])
-
-
-def coverage(proximity: Float64Array, depth_m: Float64Array, rig: Rig) -> Coverage:
-    """Return the coverage of points (N, 2) in the proximity image."""
-    height, width = rig.proximity.intrinsics.shape
-    counts, _, _ = np.histogram2d(
-        proximity[:, 1], proximity[:, 0], bins=(3, 4), range=((-0.5, height - 0.5), (-0.5, width - 0.5))
-    )
-    known = depth_m[np.isfinite(depth_m)]
-    return Coverage(
-        cells=tuple(tuple(int(count) for count in row) for row in counts),
-        depth_range_m=(float(known.min()), float(known.max())) if len(known) else None,
-    )
-
-
 ModelName = Literal["homography", "rigid"]
 #: Expected alignment error over the membrane, pixels, up to which a calibration is good, and usable.
 GOOD_PX, USABLE_PX = 0.6, 1.5
@@ -250,7 +224,7 @@ class CalibrationReport:
     reason: str
     quality: Mapping[ModelName, ModelQuality]
     refused: Mapping[ModelName, str]
-    coverage: Coverage
+    depth_span_mm: float
     depth_offset: DepthOffset | None
     warnings: tuple[str, ...]
     pairs: tuple[PointPair, ...]
@@ -272,7 +246,7 @@ class CalibrationReport:
     @property
     def verdict(self) -> str:
         """Grade and next step, in words."""
-        return f"{grade(self.chosen)} {next_step(self.chosen, self.coverage)}"
+        return f"{grade(self.chosen)} {next_step(self.chosen, self.depth_span_mm)}"
 
     def to_json(self) -> dict[str, Any]:
         aligned = self.chosen.fit.alignment
@@ -353,7 +327,7 @@ def grade(quality: ModelQuality) -> str:
     )
 
 
-def next_step(quality: ModelQuality, coverage: Coverage) -> str:
+def next_step(quality: ModelQuality, depth_span_mm: float) -> str:
     """Return the step that improves the calibration most, one sentence."""
     used, shared = sum(pair.used for pair in quality.pairs), quality.agreement.found
     wrong = quality.excluded or [pair.id for pair in ([] if shared else quality.far_from_fit()[:3])]
@@ -364,9 +338,9 @@ def next_step(quality: ModelQuality, coverage: Coverage) -> str:
         return f"Click at least {ADVISED_POINTS - used} more: with six the quality can be estimated."
     if shared:
         return quality.agreement.next_step()
-    if quality.model == "rigid" and coverage.depth_span_mm < ADVISED_SPAN_MM:
+    if quality.model == "rigid" and depth_span_mm < ADVISED_SPAN_MM:
         return (
-            f"Add points at another inflation level: all lie within {coverage.depth_span_mm:.0f} mm of depth, "
+            f"Add points at another inflation level: all lie within {depth_span_mm:.0f} mm of depth, "
             f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
         )
     if quality.model == "homography" and quality.effect.boundary_mm > GOOD_MM:

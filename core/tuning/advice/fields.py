@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 from ...contact.dent import noise_limit_m
 from ...contact.pipeline import ContactPipeline
@@ -27,8 +26,8 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
     distance_m = noise.tactile.distance_m
     return _proposal(
         evidence,
-        "tolerance",
-        {"tolerance.t": min(float(f"{_T_SIGMAS * sigma_m / distance_m:.2g}"), 1.0)},
+        "tolerance.t",
+        min(float(f"{_T_SIGMAS * sigma_m / distance_m:.2g}"), 1.0),
         f"The difference of both depths has a noise of {1e3 * sigma_m:.1f} mm at {1e3 * distance_m:.0f} mm distance; t "
         f"covers {_T_SIGMAS:g} standard deviations.",
         "Nearly all contact passes, and no larger gap than noise requires.",
@@ -43,8 +42,8 @@ def suggest_dent(evidence: Evidence, progress: Progress) -> Proposal:
     limit_m = noise_limit_m(noise)
     return _proposal(
         evidence,
-        "dent",
-        {"dent.limit_m": max(math.ceil(1e4 * limit_m), 1) / 1e4},
+        "dent.limit_m",
+        max(math.ceil(1e4 * limit_m), 1) / 1e4,
         f"Noise explains movements up to {1e3 * limit_m:.1f} mm of a membrane at rest.",
         "Nothing but noise is left out.",
     )
@@ -65,19 +64,16 @@ def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
     limit = max(math.ceil(100 * PRESSURE_SIGMAS * facts.relative_sigma), 1) / 100
     return _proposal(
         evidence,
-        "pressure",
-        {"pressure.limit": limit},
+        "pressure.limit",
+        limit,
         f"Noise explains pressures up to {limit:.2f} of the inflation, averaged over {2e3 * facts.window_m:.0f} mm.",
         "Nothing but noise is left out.",
     )
 
 
-def _proposal(evidence: Evidence, section: str, changes: Mapping[str, Any], sentence: str, expected: str) -> Proposal:
-    changed = {path: value for path, value in changes.items() if value != evidence.preset.value(path)}
-    label = ", ".join(f"{_NAMES[path]} {_shown(path, value)}" for path, value in changed.items())
-    label = label[:1].upper() + label[1:] if label else f"Keep {', '.join(_NAMES[path] for path in changes)}"
-    return Proposal(section, changed, label, sentence, expected)
-
-
-def _shown(path: str, value: float) -> str:
-    return f"{1e3 * value:g} mm" if path.endswith("_m") else f"{100 * value:g} %"
+def _proposal(evidence: Evidence, path: str, value: float, sentence: str, expected: str) -> Proposal:
+    section, name = path.partition(".")[0], _NAMES[path]
+    if value == evidence.preset.value(path):
+        return Proposal(section, {}, f"Keep {name}", sentence, expected)
+    shown = f"{1e3 * value:g} mm" if path.endswith("_m") else f"{100 * value:g} %"
+    return Proposal(section, {path: value}, f"{name[:1].upper()}{name[1:]} {shown}", sentence, expected)

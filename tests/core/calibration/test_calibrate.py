@@ -128,7 +128,7 @@ def test_a_wrong_pair_is_left_out_of_both_models_and_named(rig):
 def test_points_of_one_depth_are_asked_for_another_inflation_level(rig):
     pairs = [pair for pair in clicked(rig, 200, 1) if 0.262 < pair.tactile_depth_m < 0.275][:24]
     report = calibrate(pairs, rig, "rigid")
-    assert report.coverage.depth_span_mm < 14
+    assert report.depth_span_mm < 14
     assert "another inflation level" in report.verdict
 
 
