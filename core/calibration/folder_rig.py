@@ -9,16 +9,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from pydantic import ValidationError
 
 from ..errors import CalibrationError, SourceError, foreign
 from ..model.arrays import AnyArray
 from ..model.clouds import valid_depth
-from ..model.frames import MAX_UNIT_M, Matrix4, Rig
+from ..model.frames import MAX_UNIT_M, ColorCamera, DepthCamera, Matrix4, Rig
+from ..model.intrinsics import Intrinsics
+from ..model.rig_file import validation_sentence
 from ..sources.folder import read_image, read_values
 from ..sources.folder_layout import Layout, find_frames
 from ..sources.lens import Lens, StatedLens, choose_lens, make_lens, pose_between, read_lenses
 from ..sources.ros_image import FLOAT_UNIT_M
-from .lens import MODELS, fit_lens, make_rig, nominal_lens
+from .lens import MODELS, check_lens, fit_lens, nominal_lens
 
 #: Where half of the depths of a rig's cameras should lie, metres; makers' models see nothing nearer than they state.
 _PLAUSIBLE_M: Final = (0.06, 5.0)
@@ -83,38 +86,45 @@ def describe_folder(
     draft = _Draft(find_frames(folder), folder, corners)
     roles = [role for role in ("proximity", "tactile") if f"{role}_depth" in draft.layout.slots]
     units = _units(unit)
-    cameras: dict[str, dict[str, Any]] = {}
+    cameras: dict[str, DepthCamera] = {}
     forms: dict[str, dict[str, Any]] = {}
     for role in roles:
         image = read_values(draft.first(f"{role}_depth"))
         option = options.get(role) or (options.get("tactile") if len(roles) == 1 else None)
         found = _camera(draft, role, option, "depth", (image.shape[1], image.shape[0]))
+        check_lens(found.lens.intrinsics, f"{role} camera")
         given = units.get(role) or (units.get("tactile") if len(roles) == 1 else None)
         unit_m, value = _unit(draft, role, found, given, image)
-        cameras[role] = {"model": found.model, "depth_unit_m": unit_m, **found.lens.intrinsics.model_dump(mode="json")}
-        forms[role] = found.form | value
+        try:
+            camera = DepthCamera(model=found.model, intrinsics=found.lens.intrinsics, depth_unit_m=unit_m)
+        except ValidationError as error:
+            raise SourceError(validation_sentence(error, str(folder), f"the {role} camera")) from error
+        cameras[role], forms[role] = camera, found.form | value
+    notes, warnings = draft.notes, draft.warnings
     if len(roles) == 1:
-        _check_only_color(draft, cameras[roles[0]])
-        cameras, forms = {"tactile": cameras[roles[0]]}, {"tactile": forms[roles[0]]}
-    elif (color := _color(draft, options, cameras["proximity"])) is not None:
-        lens = color.lens.intrinsics.model_dump(mode="json")
-        cameras["proximity_color"] = lens | {"T_color_depth": color.T_color_depth}
-        forms["proximity_color"] = color.form
-    pose = _pose(draft, roles)
-    return FolderRig(make_rig(cameras, pose), forms, tuple(draft.notes), tuple(draft.warnings))
+        [role] = roles
+        _check_only_color(draft, cameras[role].intrinsics)
+        return FolderRig(Rig.of_one_camera(cameras[role]), {"tactile": forms[role]}, tuple(notes), tuple(warnings))
+    rig = Rig(**cameras)
+    if (color := _color(draft, options, rig.proximity.intrinsics)) is not None:
+        seen = ColorCamera(intrinsics=color.lens.intrinsics, T_color_depth=color.T_color_depth)
+        rig, forms["proximity_color"] = rig.model_copy(update={"proximity_color": seen}), color.form
+    if (pose := _stated_pose(draft, "proximity", "tactile")) is None:
+        warnings.append("the pose between the cameras is unknown: calibrate the alignment")
+    return FolderRig(rig.model_copy(update={"T_proximity_tactile": pose}), forms, tuple(notes), tuple(warnings))
 
 
-def _check_only_color(draft: _Draft, depth: dict[str, Any]) -> None:
+def _check_only_color(draft: _Draft, depth: Intrinsics) -> None:
     """Say what is known of the colour of the only camera."""
     if "proximity_color" not in draft.layout.slots:
         draft.warnings.append("the folder has no colour: its image stays black")
-    elif read_image(draft.first("proximity_color")).shape[:2] != (depth["height"], depth["width"]):
+    elif read_image(draft.first("proximity_color")).shape[:2] != depth.shape:
         draft.warnings.append("the colour has another size than the depth, so it is left out")
     elif draft.layout.name not in ("TUM", "BOP"):
         draft.warnings.append("the colour has the size of the depth and is taken as aligned to it")
 
 
-def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any]) -> _Camera | None:
+def _color(draft: _Draft, options: dict[str, str | None], depth: Intrinsics) -> _Camera | None:
     """Return the colour camera beside the proximity depth; None where colour is taken as aligned, or is left out."""
     if "proximity_color" not in draft.layout.slots:
         draft.warnings.append("the folder has no proximity colour: its image stays black")
@@ -122,7 +132,7 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any])
     option, proximity = options.get("color"), options.get("proximity") or ""
     image = read_image(draft.first("proximity_color"))
     size = image.shape[1], image.shape[0]
-    if option is None and size == (depth["width"], depth["height"]):
+    if option is None and size == depth.shape[::-1]:
         if draft.layout.name not in ("TUM", "BOP"):
             draft.warnings.append(
                 "the proximity colour has the size of the depth and is taken as aligned to it; if it is not, give the "
@@ -139,6 +149,7 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any])
             "of both (--color, --proximity), or write proximity_color with T_color_depth into rig.json"
         )
         return None
+    check_lens(found.lens.intrinsics, "proximity colour camera")
     return found
 
 
@@ -307,15 +318,6 @@ def _unit(
     elif not is_plausible:
         draft.warnings.append(f"the unit of the {role} depth is implausible: {doubt}; check it (--unit)")
     return (FLOAT_UNIT_M, {} if unit_m == 1 else {"value_m": unit_m}) if is_float else (unit_m, {})
-
-
-def _pose(draft: _Draft, roles: list[str]) -> Matrix4 | None:
-    if len(roles) == 1:
-        return None
-    pose = _stated_pose(draft, "proximity", "tactile")
-    if pose is None:
-        draft.warnings.append("the pose between the cameras is unknown: calibrate the alignment")
-    return pose
 
 
 def _stated_pose(draft: _Draft, first: str, second: str) -> Matrix4 | None:

@@ -6,17 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 
 from ..errors import CalibrationError
 from ..model.arrays import AnyArray
-from ..model.frames import Matrix4, Rig
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.loading import decode_image, read_file
-from ..model.rig_file import parse_rig
 from .detect import detect_chessboard
 
 #: Files that count as pictures.
@@ -71,17 +69,6 @@ def check_lens(lens: Intrinsics, camera: str) -> None:
                 f"{camera}: {axis} is {focal:.6g} px, a view of {view:.0f} degrees over {extent} px, "
                 f"but depth cameras have {low:.0f} to {high:.0f}; correct it"
             )
-
-
-def make_rig(cameras: Mapping[str, dict[str, Any]], pose: Matrix4 | None = None) -> Rig:
-    """Return the rig of cameras as ``rig.json`` describes them, by its keys."""
-    data: dict[str, Any] = dict(cameras)
-    if pose is not None:
-        data["T_proximity_tactile"] = pose
-    rig = parse_rig(data, "rig.json")
-    for name in cameras:
-        check_lens(getattr(rig, name).intrinsics, f"{name.replace('_color', ' colour')} camera")
-    return rig
 
 
 @dataclass(frozen=True)
