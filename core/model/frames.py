@@ -268,6 +268,11 @@ class SensorFrame:
         """Tactile minus proximity timestamp, seconds."""
         return self.tactile_time_s - self.proximity_time_s
 
+    def numbers(self) -> dict[str, Any]:
+        """Return number and time stamps by name, as files keep them."""
+        times = {name: float(getattr(self, name)) for name in ("proximity_time_s", "tactile_time_s")}
+        return {"sequence": int(self.sequence), **times}
+
     def check_against(self, rig: Rig) -> None:
         """Raise `FrameError` if the size of an image differs from the rig."""
         expected = {

@@ -150,12 +150,11 @@ def _pillow_pixels(data: bytes) -> AnyArray:
 
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
-_NUMBERS = ("sequence", "proximity_time_s", "tactile_time_s")
 
 
 def frame_arrays(frame: SensorFrame) -> dict[str, Any]:
     """Return what an ``.npz`` of a frame holds, by name; `frame_from_bytes` reads it and ignores other names."""
-    arrays = {name: getattr(frame, name) for name in (*_ARRAYS, *_NUMBERS)}
+    arrays = {name: getattr(frame, name) for name in _ARRAYS} | frame.numbers()
     if frame.truth is not None:
         arrays |= {"truth_contact": frame.truth.contact, "truth_depth_m": frame.truth.depth_m}
     return {name: it for name, it in arrays.items() if it is not None}

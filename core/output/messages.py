@@ -266,12 +266,7 @@ def text(value: str) -> bytes:
 
 def frame_text(frame: SensorFrame) -> bytes:
     """Return a frame's number and exact time stamps, serialised."""
-    values = {
-        "sequence": int(frame.sequence),
-        "proximity_time_s": float(frame.proximity_time_s),
-        "tactile_time_s": float(frame.tactile_time_s),
-    }
-    return text(json.dumps(values, allow_nan=False))
+    return text(json.dumps(frame.numbers(), allow_nan=False))
 
 
 def point_cloud(points: Float32Array, stamp_ns: int, frame_id: str = PROXIMITY_FRAME) -> bytes:

@@ -25,7 +25,6 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -34,11 +33,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, SourceError
-from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
+from ..model.arrays import AnyArray, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
-from ..model.intrinsics import Intrinsics
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validation_sentence
 from .base import FrameSource, Health, Progress, SeekableSource, SourceKind, frames_to_write
@@ -67,19 +65,8 @@ class Form(BaseModel):
     value_m: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class CameraForm:
-    """How values become counts, and where pixels go."""
-
-    value_m: float = 1.0
-    lens: Lens | None = None
-
-    def rectified(self, image: AnyArray) -> AnyArray:
-        return image if self.lens is None else self.lens.rectify(image)
-
-
-def load_folder_rig(path: Path) -> tuple[Rig, dict[str, CameraForm]]:
-    """Return the rig of a folder and the forms of its images, by the names in `CAMERAS`; errors as of `load_rig`."""
+def load_folder_rig(path: Path) -> tuple[Rig, dict[str, tuple[float, Lens]]]:
+    """Return the rig of a folder, and the metres of a value and the lens of each camera; errors as of `load_rig`."""
     data = read_json_object(path)
     stated: dict[str, Form] = {}
     for name in CAMERAS:
@@ -93,19 +80,15 @@ def load_folder_rig(path: Path) -> tuple[Rig, dict[str, CameraForm]]:
     alone = stated.get("tactile", Form())
     stated.setdefault("proximity", alone)  # of a rig with a tactile camera only
     stated.setdefault("proximity_color", stated["proximity"])  # aligned colour has the lens of the depth
-    lenses = {
-        "proximity": rig.proximity.intrinsics,
-        "tactile": rig.tactile.intrinsics,
-        "proximity_color": (rig.proximity_color or rig.proximity).intrinsics,
-    }
-    return rig, {name: CameraForm(stated[name].value_m, _lens(lenses[name], stated[name])) for name in CAMERAS}
-
-
-def _lens(intrinsics: Intrinsics, form: Form) -> Lens | None:
-    if form.rectify is None:
-        return None
-    matrix = intrinsics.camera_matrix().ravel().tolist()
-    return make_lens(form.rectify.model, form.rectify.coefficients, matrix, (intrinsics.width, intrinsics.height))
+    forms = {}
+    for name, camera in zip(CAMERAS, (rig.proximity, rig.tactile, rig.proximity_color or rig.proximity), strict=True):
+        lens, special = camera.intrinsics, stated[name].rectify
+        given = Lens(lens)
+        if special is not None:
+            matrix = lens.camera_matrix().ravel().tolist()
+            given = make_lens(special.model, special.coefficients, matrix, lens.shape[::-1])
+        forms[name] = stated[name].value_m, given
+    return rig, forms
 
 
 def write_rig(path: Path, rig: Rig, forms: dict[str, dict[str, Any]] | None = None) -> None:
@@ -117,16 +100,15 @@ def write_rig(path: Path, rig: Rig, forms: dict[str, dict[str, Any]] | None = No
         temporary.write_text(json_text(data), encoding="utf-8")
 
 
-def read_depth(path: Path, camera: DepthCamera, form: CameraForm | None = None) -> Uint16Array:
+def read_depth(path: Path, camera: DepthCamera, value_m: float = 1.0, lens: Lens | None = None) -> Uint16Array:
     """Return the counts of a depth image, uint16 (H, W), in the camera's unit; 0 is no depth."""
-    form = form or CameraForm()
     image = check_size(path, read_values(path), camera.intrinsics.shape)
     if image.dtype.kind == "f":
         with np.errstate(invalid="ignore", over="ignore"):
-            counts = image * (form.value_m / camera.depth_unit_m)
+            counts = image * (value_m / camera.depth_unit_m)
             known = (counts > 0) & (counts < np.iinfo(np.uint16).max)
         image = np.rint(np.where(known, counts, 0)).astype(np.uint16)
-    return np.asarray(form.rectified(image), np.uint16)
+    return np.asarray(image if lens is None else lens.rectify(image), np.uint16)
 
 
 def read_values(path: Path) -> AnyArray:
@@ -152,7 +134,7 @@ def read_values(path: Path) -> AnyArray:
     )
 
 
-def read_color(path: Path, shape: tuple[int, int], form: CameraForm | None = None) -> Uint8Array:
+def read_color(path: Path, shape: tuple[int, int], lens: Lens) -> Uint8Array:
     """Return a colour image, RGB uint8 (H, W, 3); grey becomes colour, transparency and the lower 8 of 16 bits go."""
     image = check_size(path, read_image(path), shape)
     if image.dtype == np.uint16:
@@ -164,7 +146,7 @@ def read_color(path: Path, shape: tuple[int, int], form: CameraForm | None = Non
             "with 1, 3 or 4 channels; save it in that form"
         )
     rgb = np.asarray(cv2.cvtColor(image, _TO_RGB[channels]), np.uint8)
-    return np.ascontiguousarray((form or CameraForm()).rectified(rgb))
+    return np.ascontiguousarray(lens.rectify(rgb))
 
 
 _TO_RGB: Final = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}
@@ -267,16 +249,16 @@ class FolderSource(SeekableSource):
             if slot not in images:
                 raise SourceError(f"{where} has no {slot}.png, and no .tif, .npy or .pgm of that name; add it")
         truth = None if files.folder is None else _read_truth(files.folder, rig)
-        depth = read_depth(images["tactile_depth"], rig.tactile, self._forms["tactile"])
-        color = None
+        value_m, lens = self._forms["tactile"]
+        depth, color = read_depth(images["tactile_depth"], rig.tactile, value_m, lens), None
         if "tactile_color" in images:
-            color = read_color(images["tactile_color"], rig.tactile.intrinsics.shape, self._forms["tactile"])
+            color = read_color(images["tactile_color"], rig.tactile.intrinsics.shape, lens)
         tactile, proximity = Shot(depth, color, stamp.tactile_time_s), None
         if rig.has_proximity:
-            depth, color = read_depth(images["proximity_depth"], rig.proximity, self._forms["proximity"]), None
+            depth, color = read_depth(images["proximity_depth"], rig.proximity, *self._forms["proximity"]), None
             if "proximity_color" in images:
-                form = self._forms["proximity_color"]
-                color = read_color(images["proximity_color"], rig.proximity_color_shape, form)
+                lens = self._forms["proximity_color"][1]
+                color = read_color(images["proximity_color"], rig.proximity_color_shape, lens)
             proximity = Shot(depth, color, stamp.proximity_time_s)
         return SensorFrame.of_shots(rig, stamp.sequence, proximity, tactile, truth)
 
@@ -335,26 +317,21 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     mask = check_size(contact, read_image(contact), shape)
     if mask.dtype != np.uint8 or mask.ndim != 2:
         raise SourceError(f"{contact} is no image of 8 bits and one channel; write it again in that form")
-    depth = _read_metres(metres, shape) if metres.exists() else None
-    if depth is None and counts.exists():
+    depth = None
+    if metres.exists():
+        depth = read_image(metres)
+        if depth.dtype != np.float32 or depth.shape != shape:
+            raise SourceError(
+                f"{metres} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again in that "
+                "form"
+            )
+    elif counts.exists():
         found = read_depth(counts, rig.proximity)
         known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
         depth = np.where(valid_depth(found), known, np.float32(np.nan))
     if not np.isin(mask, (0, 255)).all():
         raise SourceError(f"{contact} contains other values than 0 and 255; write it again")
     return GroundTruth(mask == 255, depth)
-
-
-def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:
-    try:
-        depth = parse_npy(read_file(path))
-    except (OSError, ValueError) as error:
-        raise SourceError(f"{path} is no readable NumPy array ({error}); export or copy it again") from error
-    if depth.dtype != np.float32 or depth.shape != shape:
-        raise SourceError(
-            f"{path} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again in that form"
-        )
-    return depth
 
 
 def _write_recording(source: FrameSource, folder: Path, frames: Iterator[SensorFrame]) -> int:
@@ -373,12 +350,7 @@ def _write_recording(source: FrameSource, folder: Path, frames: Iterator[SensorF
 def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
     frame.check_against(rig)
     folder.mkdir()
-    stamp = {
-        "sequence": int(frame.sequence),
-        "proximity_time_s": float(frame.proximity_time_s),
-        "tactile_time_s": float(frame.tactile_time_s),
-    }
-    _write_file(folder / "frame.json", json_text(stamp))
+    _write_file(folder / "frame.json", json_text(frame.numbers()))
     _write_image(folder / "tactile_depth.png", frame.tactile_depth)
     if rig.has_proximity:
         _write_image(folder / "proximity_depth.png", frame.proximity_depth)
