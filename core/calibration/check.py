@@ -33,7 +33,6 @@ class Drift:
     """Alignment error in a frame: its median, the places compared, (N, 2), and found minus predicted pixel there."""
 
     drift_px: float
-    drift_mm: float
     recalibrate: bool
     sentence: str
     tactile: Float64Array
@@ -72,7 +71,6 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     advice = f"calibrate again, {limit:.1f} px would still be good" if drift > limit else "no need to calibrate again"
     return Drift(
         drift_px=drift,
-        drift_mm=drift_mm,
         recalibrate=drift > limit,
         sentence=f"{measured}: {advice}.",
         tactile=points.tactile,

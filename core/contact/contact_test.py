@@ -6,6 +6,7 @@ panel, the search and all messages read the class.
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -42,11 +43,10 @@ MASK_REASON: Final = DropReason("the mask", "correct if nothing touches; otherwi
 
 
 class BiasLimits(NamedTuple):
-    """A bias between the cameras is harmless up to ``good_m``, for a reason; up to ``fair_m`` contact is found."""
+    """A bias between the cameras is harmless up to ``good_m``; up to ``fair_m`` contact is found."""
 
-    good_m: float
-    fair_m: float
-    reason: str
+    good_m: float = math.inf
+    fair_m: float = math.inf
 
 
 class Steps:
@@ -141,14 +141,14 @@ class ContactTest(ABC):
         """Return the contact in a frame; run only the steps that are due."""
 
     @classmethod
-    @abstractmethod
     def accepted_share(cls, preset: Preset, distance_m: float) -> float:
-        """Return the relative difference up to which both depths count as equal, at a distance in metres."""
+        """Return the relative difference up to which both depths count as equal, at a distance in metres; 0: none."""
+        return 0.0
 
     @classmethod
-    @abstractmethod
     def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
-        """Return the limits of a bias between the cameras for objects at a distance in metres."""
+        """Return the limits of a bias between the cameras for objects at a distance in metres; none by default."""
+        return BiasLimits()
 
     @classmethod
     def why_no_contact(cls, provenance: Uint8Array) -> tuple[str, str]:

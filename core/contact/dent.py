@@ -17,7 +17,7 @@ from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
 from ..model.patch import NO_CANDIDATES, Candidates, Found, Provenance
 from ..model.sections import Section, described
-from .contact_test import MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
+from .contact_test import MASK_REASON, PIXEL_FIELDS, ContactTest, DropReason, Steps
 
 if TYPE_CHECKING:
     from ..model.rig_noise import RigNoise
@@ -141,16 +141,6 @@ class DentTest(ContactTest):
         sums, share = (np.asarray(cv2.blur(each, (_SIDE_PX, _SIDE_PX))) for each in (counts, known.astype(np.float32)))
         mean = np.divide(sums, share, out=np.zeros(known.shape, np.float32), where=known & (share > 0.5))
         return np.asarray(mean * self.pixels.alignment.tables.tactile_unit_m, np.float32)
-
-    @classmethod
-    def accepted_share(cls, preset: Preset, distance_m: float) -> float:
-        """Return 0: no difference between the depths of two cameras counts."""
-        return 0.0
-
-    @classmethod
-    def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
-        """Return no limits: there is no bias between two cameras."""
-        return BiasLimits(float("inf"), float("inf"), "the dent test compares no two cameras")
 
 
 def dent_limit_m(preset: Preset) -> float:

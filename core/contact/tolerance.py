@@ -138,9 +138,8 @@ class ToleranceTest(ContactTest):
     @classmethod
     def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
         """Return a third of t, and t, at this distance."""
-        t = preset.tolerance.t
-        reason = f"below {100 * HARMLESS_SHARE * t:.2g} %, a third of the tolerance t"
-        return BiasLimits(HARMLESS_SHARE * t * distance_m, t * distance_m, reason)
+        largest_m = preset.tolerance.t * distance_m
+        return BiasLimits(HARMLESS_SHARE * largest_m, largest_m)
 
 
 def _provenance(verdicts: Uint8Array, candidates: Candidates, inliers: Candidates, contact: Candidates) -> Uint8Array:

@@ -63,7 +63,6 @@ _MEMBRANE_RGB = (36, 96, 190)
 class BenchScene:
     """One frame with its rig and the preset it is processed with."""
 
-    name: str
     rig: Rig
     preset: Preset
     frame: SensorFrame
@@ -78,7 +77,7 @@ def scene_names() -> tuple[str, ...]:
 def make_scene(name: str) -> BenchScene:
     if name not in _SCENES:
         raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
-    return replace(_SCENES[name](), name=name)
+    return _SCENES[name]()
 
 
 def _simulated(scene: str, depth_m: float) -> BenchScene:
@@ -88,7 +87,7 @@ def _simulated(scene: str, depth_m: float) -> BenchScene:
     source = SimulatorSource(scene=scene, sensor="datasheet")
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])
     index = int(np.argmax(depths >= min(depth_m, depths.max())))
-    return BenchScene(scene, source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
+    return BenchScene(source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
 
 
 def synthetic_scene(
@@ -126,7 +125,7 @@ def synthetic_scene(
             "mask.saturation": (120, 255),
         }
     )
-    return BenchScene(f"{points} points", rig, preset, frame)
+    return BenchScene(rig, preset, frame)
 
 
 def _scaled_rig(width: int, height: int) -> Rig:

@@ -125,8 +125,6 @@ class Outcome:
     probability: float
     stated_mm: float
     error_mm: float  # Mean distance between both boundaries; nan where the patch or the contact is empty
-    iou: float
-    reasons: tuple[str, ...]
 
     @property
     def sure(self) -> bool:
@@ -210,11 +208,10 @@ def _outcome(
     patch = ContactPipeline(preset, rig, untouched).process(frame)
     truth = frame.truth
     assert truth is not None  # the simulator knows it
-    error_mm, iou = np.nan, 0.0
+    error_mm = np.nan
     if len(patch.points) and truth.contact.any():
         pixel_mm = 1e3 * float(np.median(patch.points[:, 2])) / rig.proximity.intrinsics.fx
         error_mm = pixel_mm * boundary_distance_px(patch.mask, truth.contact)
-        iou = np.count_nonzero(patch.mask & truth.contact) / np.count_nonzero(patch.mask | truth.contact)
     doubt = patch.doubt
     return Outcome(
         name,
@@ -223,8 +220,6 @@ def _outcome(
         doubt.touch_probability,
         doubt.boundary_error_mm,
         error_mm,
-        iou,
-        doubt.reasons,
     )
 
 

@@ -103,7 +103,5 @@ class MembraneTest(ContactTest):
     def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
         """Return what the test corrects in firm contact, or what still leaves contact without a correction."""
         if preset.membrane.bias:
-            reason = f"below {1e3 * LARGEST_BIAS_M:g} mm, what the test corrects"
-            return BiasLimits(LARGEST_BIAS_M, LARGEST_BIAS_M, reason)
-        harmless_m = HARMLESS_SHARE * NEAR_GAP_M
-        return BiasLimits(harmless_m, NEAR_GAP_M, f"below {1e3 * harmless_m:.2g} mm, as the bias is not corrected")
+            return BiasLimits(LARGEST_BIAS_M, LARGEST_BIAS_M)
+        return BiasLimits(HARMLESS_SHARE * NEAR_GAP_M, NEAR_GAP_M)

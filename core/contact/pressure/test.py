@@ -22,7 +22,7 @@ from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, U
 from ...model.clouds import valid_depth
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
-from ..contact_test import MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
+from ..contact_test import MASK_REASON, PIXEL_FIELDS, ContactTest, DropReason, Steps
 from .section import PressureSection
 
 if TYPE_CHECKING:
@@ -164,16 +164,6 @@ class PressureTest(ContactTest):
         verdicts[pressed.pixels] = Provenance.SMALL_CLUSTER
         verdicts[contact.pixels] = Provenance.CONTACT
         return image
-
-    @classmethod
-    def accepted_share(cls, preset: Preset, distance_m: float) -> float:
-        """Return 0: no difference between the depths of two cameras counts."""
-        return 0.0
-
-    @classmethod
-    def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
-        """Return no limits: there is no bias between two cameras."""
-        return BiasLimits(float("inf"), float("inf"), "the pressure test compares no two cameras")
 
 
 #: Twice the mean curvature of an inflated membrane, at least: the apex of one of 200 mm then stands out by 2.5 mm.

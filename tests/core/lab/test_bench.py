@@ -31,7 +31,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def scene():
-    return replace(synthetic_scene(3000, 160, 120), name="small")
+    return synthetic_scene(3000, 160, 120)
 
 
 def test_baseline_and_pipeline_agree_with_the_float64_reference(scene):
