@@ -1,7 +1,7 @@
 """The interface of a contact test: what it is called and depends on, and how it finds contact in a frame.
 
-To add a test, write one file like `tolerance` and add one line to `CONTACT_TESTS`. Preset files, their schema, the
-panel, the search and all messages read the class.
+To add a test, write one file like `tolerance`, and add a line to `CONTACT_TESTS` and its name and sections to `Preset`.
+The panel, the search and all messages read the class.
 """
 
 from __future__ import annotations

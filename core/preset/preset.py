@@ -7,10 +7,10 @@ import json
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field, ValidationError
 
 from ..contact import CONTACT_TESTS
 from ..contact.contact_test import ContactTest
@@ -49,14 +49,12 @@ def now() -> datetime:
     return datetime.now(UTC).replace(microsecond=0)
 
 
-if TYPE_CHECKING:
-    _TestName = str
-else:
-    _TestName = Literal[tuple(CONTACT_TESTS)]
+class Preset(Section):
+    """All calibrated and tuned values, and the rig that they were made for.
 
-
-class _BeforeTests(Section):
-    """The fields before the sections of the contact tests."""
+    ``rig`` is None for a preset that serves any rig. `tactune.core.sources.presets` loads presets,
+    `tactune.core.preset.file` saves them.
+    """
 
     name: Annotated[str, Field(min_length=1, max_length=120)] = "untitled"
     notes: Annotated[str, Field(max_length=10_000)] = ""
@@ -65,37 +63,16 @@ class _BeforeTests(Section):
     rig: Rig | None = None
     alignment: AlignmentSection = AlignmentSection()
     contact_test: Annotated[
-        _TestName,
+        Literal["membrane", "tolerance", "dent", "pressure"],
         described("Contact test", " ".join(f"{test.name}: {test.summary}" for test in CONTACT_TESTS.values())),
-    ] = next(iter(CONTACT_TESTS))
+    ] = "membrane"
     mask: MaskSection = MaskSection(enabled=False)
-
-
-if TYPE_CHECKING:
-
-    class _WithTests(_BeforeTests):
-        tolerance: ToleranceSection = ToleranceSection()
-        outliers: OutlierSection = OutlierSection()
-        membrane: MembraneSection = MembraneSection()
-        dent: DentSection = DentSection()
-        pressure: PressureSection = PressureSection()
-
-else:
-    _sections = {name: section for test in CONTACT_TESTS.values() for name, section in test.sections.items()}
-    _WithTests = create_model(
-        "_WithTests",
-        __base__=_BeforeTests,
-        **{name: (section, section()) for name, section in _sections.items()},
-    )
-
-
-class Preset(_WithTests):
-    """All calibrated and tuned values, and the rig that they were made for.
-
-    ``rig`` is None for a preset that serves any rig. Each contact test in `CONTACT_TESTS` adds its sections.
-    `tactune.core.sources.presets` loads presets, `tactune.core.preset.file` saves them.
-    """
-
+    # the sections of the contact tests
+    membrane: MembraneSection = MembraneSection()
+    tolerance: ToleranceSection = ToleranceSection()
+    outliers: OutlierSection = OutlierSection()
+    dent: DentSection = DentSection()
+    pressure: PressureSection = PressureSection()
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()
     cameras: CamerasSection = CamerasSection()
