@@ -172,7 +172,12 @@ class RealSenseCamera(Camera):
             streams = _find_streams(device, info)
             super().__init__(info, role, _read_calibration(streams, info), float(RATE_HZ))
             self._depth_sensor = streams["depth"].sensor
-            self._sensors = _by_sensor(streams)
+            self._sensors: list[tuple[Any, list[Any]]] = []  # a D405 has one for both streams
+            for sensor, profile in (streams["depth"], streams["color"]):
+                if self._sensors and self._sensors[-1][0] is sensor:
+                    self._sensors[-1][1].append(profile)
+                else:
+                    self._sensors.append((sensor, [profile]))
             needed = {driver.option.global_time_enabled: 1.0, driver.option.frames_queue_size: float(_POOL)}
             for sensor, _ in self._sensors:
                 for option, value in needed.items():
@@ -337,14 +342,6 @@ def _pose(source: Any, target: Any) -> Matrix4:
     matrix[:3, :3] = np.asarray(extrinsics.rotation).reshape(3, 3).T  # column-major in the driver
     matrix[:3, 3] = extrinsics.translation
     return camera_pose(matrix)
-
-
-def _by_sensor(streams: dict[str, _Stream]) -> list[tuple[Any, list[Any]]]:
-    """Group the streams by the sensor that has them: a D405 has one for both."""
-    depth, color = streams["depth"], streams["color"]
-    if depth.sensor is color.sensor:
-        return [(depth.sensor, [depth.profile, color.profile])]
-    return [(depth.sensor, [depth.profile]), (color.sensor, [color.profile])]
 
 
 def _explain(info: DeviceInfo, error: RuntimeError) -> str:
