@@ -146,6 +146,3 @@ class MembraneView:
     def _pixels(self, z: Float64Array, which: IndexArray) -> tuple[IndexArray, IndexArray, BoolArray]:
         """Return row, column and visibility in the tactile image of the points at depth z on some rays."""
         return nearest_pixels(self._directions[which] * z[:, None] + self._origin, self._rig.tactile.intrinsics)
-
-
-# All methods by name
