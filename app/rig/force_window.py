@@ -17,7 +17,7 @@ _PROMPT = (
     "at zero before. One firm press is enough, more show how well they follow."
 )
 _COLUMNS = (
-    Column("Frame", lambda press: press.frame + 1, "Number of the frame", decimals=0, sample="100,000"),
+    Column("Frame", lambda press: press.frame, "Number of the frame", decimals=0, sample="100,000"),
     Column("Force, N", lambda press: press.force_n, "What the scale reads, newtons", decimals=2, sample="1,000.00"),
     Column(
         "Force / inflation, mm²",
