@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
@@ -30,7 +30,7 @@ from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_labels import level
-from ...widgets.clouds.cloud_view import CloudView, as_place, link_cameras
+from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ...widgets.images.image_strip import ImageStrip
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
@@ -198,8 +198,7 @@ class ViewArea(QWidget):
         with_pressure = any(side.patch is not None and side.patch.pressure is not None for side in sides)
         if with_pressure != (self.color_by.findData(ColorBy.PRESSURE) >= 0):
             self._offer_colors(with_pressure)
-        arrow = None if result.compared is not None or result.patch is None else result.patch.force_arrow_m
-        self.views[CloudName.PATCH].set_arrow(None if arrow is None else (as_place(arrow[0]), as_place(arrow[1])))
+        self.views[CloudName.PATCH].set_arrow(result.force_arrow_m if result.compared is None else None)
         for view in self.views.values():
             view.set_running(result.playback.playing)
         if result.compared is not None:
@@ -207,7 +206,7 @@ class ViewArea(QWidget):
         else:
             for name in result.rendered.clouds:
                 cloud, message = _shown(name, result)
-                self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
+                self._show_cloud(name, cloud, message, legend_of(name, result.rendered, theme))
         if self._legends != legends:
             self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
@@ -229,7 +228,7 @@ class ViewArea(QWidget):
     def _show_compared(self, compared: ComparedFrame, theme: ThemeName) -> None:
         for name in compared.a.rendered.clouds:
             (left, why_left), (right, why_right) = (_shown(name, side) for side in (compared.a, compared.b))
-            legend, other = (self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))
+            legend, other = (legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))
             self._show_cloud(name, left, why_left, legend + [entry for entry in other if entry not in legend])
             self.views[name].set_right(right, why_right)
 
@@ -242,11 +241,6 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_cloud(None)
             view.set_message(message)
-
-    def _legend_of(self, name: CloudName, rendered: Rendered, theme: ThemeName) -> Legend:
-        near, far = rendered.tactile_range_m if name is CloudName.TACTILE else rendered.depth_range_m
-        range_m = round(near, 3), round(far, 3)
-        return legend_of(name, rendered.color_by, theme, range_m, rendered.verdicts, rendered.pressure_scale)
 
     def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
         view = self.views[name]
@@ -288,26 +282,19 @@ class ViewArea(QWidget):
             self.point_size.setValue(round(point_size))
 
 
-@lru_cache(maxsize=32)
-def legend_of(
-    name: CloudName,
-    color_by: ColorBy,
-    theme: ThemeName,
-    range_m: tuple[float, float],
-    verdicts: frozenset[Provenance],
-    pressure_scale: tuple[float, float],
-) -> Legend:
-    near, far = range_m
+def legend_of(name: CloudName, rendered: Rendered, theme: ThemeName) -> Legend:
+    color_by, verdicts = rendered.color_by, rendered.verdicts
     if color_by is ColorBy.PRESSURE and name is not CloudName.PROXIMITY:
-        return pressure_legend(theme, *pressure_scale) + (patch_legend(theme)[1:] if name is CloudName.PATCH else [])
+        legend = pressure_legend(theme, *rendered.pressure_scale)
+        return legend + patch_legend(theme)[1:] if name is CloudName.PATCH else legend
     if name is CloudName.TACTILE:
-        return depth_legend(near, far)
+        return depth_legend(*rendered.tactile_range_m)
     if color_by is ColorBy.PROVENANCE and verdicts:
         if name is CloudName.PROXIMITY:
             return provenance_legend(theme, verdicts - {Provenance.NO_PROXIMITY_DEPTH})
         return provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + patch_legend(theme)[1:]
     if name is CloudName.PROXIMITY:
-        return depth_legend(near, far) + behind_legend()
+        return depth_legend(*rendered.depth_range_m) + behind_legend()
     return patch_legend(theme)
 
 

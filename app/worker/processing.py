@@ -141,6 +141,7 @@ class FrameProcessor:
             patch=patch,
             area_mm2=patch.area_mm2 if patch is not None else 0.0,
             doubt=patch.doubt if patch is not None else None,
+            force_arrow_m=patch.force_arrow_m if patch is not None else None,
             rendered=rendered,
             playback=playback,
             problem=self._present.problem,

@@ -207,6 +207,7 @@ class Result:
     patch: ContactPatch | None
     area_mm2: float
     doubt: Doubt | None  # of the patch
+    force_arrow_m: Float64Array | None  # as in `ContactPatch`
     rendered: Rendered
     playback: PlaybackState
     problem: str = ""

@@ -22,7 +22,7 @@ from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPalette, QPen, QPolygonF, QResizeEvent
 from PyQt6.QtWidgets import QWidget
 
-from ...core.model.arrays import Float32Array, Uint8Array
+from ...core.model.arrays import Float32Array, Float64Array, Uint8Array
 from ..basics.colormaps import over_background
 from ..basics.overlays import Reading, Wipe, paint_wipe, readings_image
 from ..basics.theme import CASING, ThemeName, text_font, theme_name
@@ -290,7 +290,7 @@ class CloudCanvas(QWidget):
         self.point_size = 2.0  # device-independent pixels
         self.running = False  # frames follow each other
         self.mark: Place | None = None
-        self.arrow: tuple[Place, Place] | None = None  # from and to
+        self.arrow: Float64Array | None = None  # (2, 3): from and to
         self.readings: tuple[Reading, ...] = ()
         self._renderers = SoftwareRenderer(), SoftwareRenderer()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
@@ -321,7 +321,7 @@ class CloudCanvas(QWidget):
             axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
             painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
         if self.arrow is not None:
-            self._paint_arrow(painter, *self.arrow)
+            self._paint_arrow(painter, self.arrow)
         if self.mark is not None:
             self._paint_mark(painter, self.mark)
         if self.wipe is not None:
@@ -331,8 +331,8 @@ class CloudCanvas(QWidget):
             painter.drawImage(0, 0, readings_image(self.width(), self.readings, plate, self.devicePixelRatioF()))
         painter.end()
 
-    def _paint_arrow(self, painter: QPainter, start: Place, end: Place) -> None:
-        seen = self.camera.project([start, end], max(1, self.width()), max(1, self.height()))
+    def _paint_arrow(self, painter: QPainter, arrow: Float64Array) -> None:
+        seen = self.camera.project(arrow, max(1, self.width()), max(1, self.height()))
         if (seen[:, 2] <= 0).any():
             return
         tail, tip = (QPointF(u, v) for u, v in seen[:, :2])

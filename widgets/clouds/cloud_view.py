@@ -179,9 +179,9 @@ class CloudView(QWidget):
             self.canvas.mark = mark
             self.canvas.update()
 
-    def set_arrow(self, arrow: tuple[Place, Place] | None) -> None:
-        """Draw an arrow from one place to another of the view's frame, metres, or none."""
-        if arrow != self.canvas.arrow:
+    def set_arrow(self, arrow: Float64Array | None) -> None:
+        """Draw an arrow between two places (2, 3) of the view's frame, metres, or none."""
+        if arrow is not self.canvas.arrow:
             self.canvas.arrow = arrow
             self.canvas.update()
 
