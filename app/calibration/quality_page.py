@@ -10,7 +10,6 @@ import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QComboBox, QFormLayout, QWidget
-from scipy.interpolate import LinearNDInterpolator
 
 from ...core.calibration.geometry import proximity_pixels
 from ...core.calibration.report import CalibrationReport, grade, millimetres_per_pixel
@@ -43,6 +42,8 @@ def uncertainty_lut() -> Uint8Array:
 
 def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> tuple[Uint8Array, float, float]:
     """Colour the proximity colour image by the expected alignment error; return the millimetres at the scale's ends."""
+    from scipy.interpolate import LinearNDInterpolator  # slow to import
+
     quality, rig = report.chosen, report.rig
     shown = picture(frame, rig, "proximity", "color")
     height, width = shown.gray.shape

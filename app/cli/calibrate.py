@@ -81,7 +81,6 @@ def check(
     could be checked, something touches the membrane, or the preset's untouched frame is missing. A warning names what
     was not checked. The simulator removes its object for this.
     """
-    from ...core.rig.drift import check_rig
     from ...core.rig.untouched import load_untouched
 
     checked, origin = chosen_preset(preset, source)
@@ -89,6 +88,8 @@ def check(
     if checked.untouched is not None:
         untouched = load_untouched(checked.untouched, Path(origin))  # if it is missing, before the source is opened
     with open_with_progress(source, checked) as opened:
+        from ...core.rig.drift import check_rig  # after a wrong source was told
+
         found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame, untouched)
     if found.state == "unknown":
         raise CalibrationError(found.sentence)

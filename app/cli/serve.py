@@ -83,11 +83,8 @@ def serve(
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2, until Ctrl+C; a recording is repeated at its own rate."""
-    from ...core.contact.pipeline import ContactPipeline
     from ...core.output.connections import Connections
     from ...core.output.publisher import Publisher
-    from ...core.sources.capture.live import LiveLoop
-    from ...core.warmup import warm_up_if_needed
 
     if layout is not None:
         from ...core.output.foxglove import save_layout
@@ -104,6 +101,10 @@ def serve(
         Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start
         open_with_progress(source, chosen) as opened,
     ):
+        from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
+        from ...core.sources.capture.live import LiveLoop
+        from ...core.warmup import warm_up_if_needed
+
         playing = opened if opened.length is None else LiveLoop(opened)
         tilt, poses = make_tilt(estimate, chosen, playing.rig), None
         if mesh is not None:

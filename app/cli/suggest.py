@@ -60,15 +60,15 @@ def suggest(
     The evidence is the present frame, the three before it, and the untouched frame of the preset or the source. Nothing
     is written without --out.
     """
-    from ...core.rig.untouched import find_untouched
-    from ...core.tuning.advice.proposal import Evidence
-    from ...core.tuning.advice.suggest import suggest_all
-    from ...core.warmup import warm_up_if_needed
-
     if out is not None:
         check_target(out, preset)
     chosen, origin = chosen_preset(preset, source)
     with open_with_progress(source, chosen) as opened:
+        from ...core.rig.untouched import find_untouched  # after a wrong source was told
+        from ...core.tuning.advice.proposal import Evidence
+        from ...core.tuning.advice.suggest import suggest_all
+        from ...core.warmup import warm_up_if_needed
+
         frames = _recent_frames(opened, frame)
         with CliProgress() as progress:
             found = find_untouched(chosen, origin, opened, progress.preparing)
@@ -98,13 +98,13 @@ def findings(
 
     The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
     """
-    from ...core.contact.pipeline import ContactPipeline
-    from ...core.rig.untouched import kept_untouched
-    from ...core.tuning.advice.findings import Examiner, unusable_test
-    from ...core.warmup import warm_up_if_needed
-
     chosen, origin = chosen_preset(preset, source)
     with open_with_progress(source, chosen) as opened:
+        from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
+        from ...core.rig.untouched import kept_untouched
+        from ...core.tuning.advice.findings import Examiner, unusable_test
+        from ...core.warmup import warm_up_if_needed
+
         stored = kept_untouched(chosen, origin, opened)
         warn(*stored.warnings)
         unusable = unusable_test(chosen, opened.rig, stored.frame)

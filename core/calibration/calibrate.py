@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from ..errors import CalibrationError
 from ..model.alignment import PointPair
@@ -239,6 +238,8 @@ def _recommend(quality: dict[ModelName, ModelQuality], refused: dict[ModelName, 
 
 
 def _warnings(pairs: list[PointPair], rigid: Fit | None, rig: Rig) -> tuple[str, ...]:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     if outside := [pair.id for pair in pairs if not _inside(pair, rig)]:
         named = ", ".join(outside[:5])
         return (f"pair {named} lies outside the images that the rig states; check that it is the right rig",)

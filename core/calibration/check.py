@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from ..contact.checks import rig_in_use
 from ..errors import CalibrationError, RigMismatchError, minus
@@ -116,6 +115,8 @@ def compare_alignments(report: CalibrationReport, preset: Preset) -> Comparison 
     from the truth. A worse one has residuals larger by a fifth or more. None where there is no present alignment, or
     too few such pairs.
     """
+    from scipy.special import stdtrit  # slow to import
+
     quality, rig = report.chosen, report.rig
     fit = quality.fit
     try:

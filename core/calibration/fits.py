@@ -22,8 +22,6 @@ from typing import ClassVar
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
-from scipy.special import gammaln
 
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array
@@ -360,6 +358,8 @@ def _volume(fit: Fit) -> float:
 
 def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
     """Return the largest log evidence of the k nearest pairs being right, not all wrong, and which they are."""
+    from scipy.special import gammaln  # slow to import
+
     noise_px, size, count = model.noise_px(theta), model.sample, len(model.points)
     with np.errstate(all="ignore"):
         away = np.nan_to_num(np.hypot(*model.residuals_px(theta).T), nan=np.inf)
@@ -381,6 +381,8 @@ def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
 
 def _solve(model: Model, start: Float64Array, used: BoolArray) -> Fit | None:
     """Fit the used pairs by least squares from an initial theta; None if they determine nothing."""
+    from scipy.optimize import least_squares  # slow to import
+
     with np.errstate(all="ignore"):
         try:
             whitening = np.linalg.inv(np.linalg.cholesky(model.covariances(start)))

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, fdtri
 
 from ..errors import minus
 from ..model.alignment import CalibrationRecord, ModelSummary, PointPair, SnapshotRecord
@@ -79,6 +78,8 @@ def bound(derivative: Float64Array, degrees: int) -> float:
 
     ``derivative`` is `Agreement.sensitivity` at the places, shape (M, 2, P).
     """
+    from scipy.special import chdtri, fdtri  # slow to import
+
     rows = derivative.reshape(-1, derivative.shape[2])
     weights = rows.T @ rows / len(derivative)
     mean = float(np.trace(weights))

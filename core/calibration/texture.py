@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from ..errors import CalibrationError
 from ..model.alignment import PointPair
@@ -118,6 +117,8 @@ def measure_pairs(frame: SensorFrame, rig: Rig, alignment: Alignment) -> PointAr
 
 def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> Float64Array:
     """Warp each view, measure the remaining offset of each feature, and keep those with high correlation."""
+    from scipy.ndimage import map_coordinates  # slow to import
+
     height, width = rig.tactile.intrinsics.shape
     v, u = np.mgrid[:height, :width].astype(np.float64)
     parts = [_NOTHING]

@@ -10,7 +10,6 @@ from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..contact.alignment import tactile_pose
 from ..errors import ExportError
@@ -68,6 +67,8 @@ def _numbers(values: Float64Array) -> str:
 
 
 def _launch(cameras: list[_Camera]) -> str:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     if len(cameras) == 1:
         raise ExportError("the rig has one camera, so there is no transform to publish; export its lens to Kalibr")
     nodes = []
@@ -117,6 +118,8 @@ def _radtan(lens: Intrinsics, frame: str) -> Float64Array:
 
 
 def _urdf(cameras: list[_Camera]) -> str:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     lines = ['<?xml version="1.0"?>', '<robot name="tactune_rig">']
     lines += [f"  <link name={quoteattr(camera.frame)}/>" for camera in cameras]
     for camera in cameras[1:]:

@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..errors import FrameError
 from ..model.arrays import AnyArray, Float32Array, Float64Array
@@ -346,6 +345,8 @@ def images_of(frame: SensorFrame, rig: Rig) -> Iterator[tuple[Topic, AnyArray]]:
 
 
 def _quaternion(pose: Float64Array) -> Any:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
     return _type("geometry_msgs/msg/Quaternion")(x, y, z, w)
 

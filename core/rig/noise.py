@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.optimize import nnls
 
 from ..contact.checks import rig_in_use
 from ..contact.membrane.steps import firm_contact_bias
@@ -343,6 +342,8 @@ def _fit_noise(
     lengths_px: tuple[float, float] = (0.0, np.inf),
 ) -> tuple[Float64Array, float]:
     """Return the variances, m^2, of white and correlated noise that changes, then that stays, and the length, px."""
+    from scipy.optimize import nnls  # slow to import
+
     best: tuple[float, Float64Array, float] = (np.inf, np.zeros(4), 0.0)
     values, errors = changing if fixed is None else (np.concatenate(both) for both in zip(changing, fixed, strict=True))
     used = np.isfinite(values) & (errors > 0)

@@ -20,7 +20,6 @@ from typing import Any, Final
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.spatial.transform import Rotation
 
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array
@@ -95,6 +94,8 @@ def parse(data: bytes | memoryview, message_type: str, origin: Path) -> Any:
 
 def matrix_of(transform: Any) -> Float64Array:
     """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     q, t = transform.rotation, transform.translation
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
