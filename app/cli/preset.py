@@ -213,6 +213,8 @@ def calibrate_force(
     measuring = chosen.with_value("contact_test", "pressure")
     with open_pipeline(source, measuring, origin) as (opened, pipeline), stop_on_signals() as stopped:
         total = number_of_frames(opened, None)
+        if total is None:
+            raise CalibrationError(f"{opened.name} is live, and a log belongs to a recording; record the presses first")
         with CliProgress() as progress:
             for done, frame in enumerate(live_frames(opened, total, stopped)):
                 progress.frames(done + 1, total)
