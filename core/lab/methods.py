@@ -18,7 +18,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch
 from ..model.plugins import added_by_others
 from ..preset import Preset
-from .single_camera import Find, proximity_only, tactile_only
+from .single_camera import Find, pressure, proximity_only, tactile_only
 
 MakeRival = Callable[[Preset, Rig, SensorFrame], Find]
 
@@ -27,7 +27,7 @@ STRAIGHT: Final = "straight"
 MEMBRANE: Final = "fusion-membrane"
 AVERAGED: Final = "fusion-averaged"
 PRESSURE: Final = "pressure"
-#: Pipelines that use the measured noise of a rig.
+#: Methods that use the measured noise of a rig.
 OF_NOISE: Final = (MEMBRANE, AVERAGED, PRESSURE)
 
 #: Contact pipelines by name: the preset fields that each sets.
@@ -37,7 +37,6 @@ PIPELINES: Final[dict[str, dict[str, Any]]] = {
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
     MEMBRANE: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
     AVERAGED: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
-    PRESSURE: {"contact_test": "pressure", "alignment.model": "rigid"},
 }
 
 _GROUP: Final = "tactune.methods"
@@ -54,6 +53,7 @@ RIVALS: Final[dict[str, MakeRival]] = {
     "proximity-only": proximity_only,
     "tactile-only": tactile_only,
     "mechanics": mechanics,
+    PRESSURE: pressure,
 }
 
 
@@ -103,13 +103,11 @@ def needed_frames(name: str) -> int:
 def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> Find:
     """Build a method by its name; raises a `TactuneError` where there is none or it lacks an untouched frame."""
     check_methods([name])
-    if name in PIPELINES and name != PRESSURE:
+    if name in PIPELINES:
         return ContactPipeline(preset.with_values(PIPELINES[name]), rig).process
     if untouched is None:
         raise TactuneError(
             f"{name} compares with the untouched membrane, but there is no untouched frame; "
             "capture one while nothing touches the membrane"
         )
-    if name == PRESSURE:
-        return ContactPipeline(preset.with_values(PIPELINES[name]), rig, untouched).process
     return rivals()[name](preset, rig, untouched)

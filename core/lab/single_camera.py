@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from ..contact.alignment import tactile_pose
+from ..contact.pipeline import ContactPipeline
 from ..model.alignment import AlignmentSection
 from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
 from ..model.clouds import deproject, nearest_pixels, ray_table, valid_depth
-from ..model.frames import Rig, SensorFrame
-from ..model.patch import AlignedDepth, ContactPatch, Lazy, Provenance
+from ..model.frames import Rig, SensorFrame, Shot
+from ..model.patch import AlignedDepth, ContactPatch, Lazy, PressureFacts, Provenance
 from ..preset import Preset
 
 #: Finds the contact patch of a frame; raises a `TactuneError` that says why where it cannot.
@@ -67,12 +69,44 @@ def tactile_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
     return find
 
 
-def rival_patch(frame: SensorFrame, rig: Rig, points: Float32Array, mask: Callable[[], BoolArray]) -> ContactPatch:
+def pressure(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
+    """Tactile camera: the contact test ``pressure``, on a rig with that camera alone."""
+    alone, view = Rig.of_one_camera(rig.tactile), MembraneView(preset.alignment, rig)
+
+    def seen_alone(frame: SensorFrame) -> SensorFrame:
+        frame.check_against(rig)
+        return SensorFrame.of_shots(alone, frame.sequence, None, Shot(frame.tactile_depth, frame.tactile_color, 0.0))
+
+    settings = {"contact_test": "pressure", "mask.enabled": False, "region.enabled": False}
+    pipeline = ContactPipeline(preset.with_values(settings), alone, seen_alone(untouched))
+    turn = tactile_pose(preset.alignment, rig)[:3, :3]
+
+    def find(frame: SensorFrame) -> ContactPatch:
+        patch, counts = pipeline.process(seen_alone(frame)), frame.tactile_depth
+        found = patch.pressure
+        assert found is not None
+        x, y, z = (turn @ found.force_mm2).tolist()
+        points = view.points(patch.mask, counts)
+        turned = replace(found, force_mm2=(x, y, z))
+        return rival_patch(frame, rig, points, lambda: view.pick(patch.mask, counts), turned)
+
+    return find
+
+
+def rival_patch(
+    frame: SensorFrame,
+    rig: Rig,
+    points: Float32Array,
+    mask: Callable[[], BoolArray],
+    pressure: PressureFacts | None = None,
+) -> ContactPatch:
     """Return a rival's patch, of which only points, (N, 3), and mask, (H, W), are known; their numbers may differ."""
     known, shape = Lazy(mask), rig.proximity.intrinsics.shape
     verdicts = Lazy(lambda: np.where(known.get(), Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8))
     nothing = np.full(shape, np.nan, np.float32)
-    return ContactPatch(frame.sequence, points, verdicts, AlignedDepth(nothing, nothing), rig, {}, mask=known)
+    return ContactPatch(
+        frame.sequence, points, verdicts, AlignedDepth(nothing, nothing), rig, {}, mask=known, pressure=pressure
+    )
 
 
 # The membrane in proximity pixels, from the tactile depth

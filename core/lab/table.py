@@ -40,7 +40,7 @@ from ..sources.registry import open_source
 from ..sources.simulator.objects import HELD_OUT
 from ..sources.simulator.scenes import MEMBRANES
 from ..sources.simulator.sensors import DEFAULT_SENSOR, SENSORS
-from .methods import OF_NOISE, PIPELINES, PRESSURE, check_methods, make_method, method_names, needed_frames
+from .methods import OF_NOISE, PIPELINES, check_methods, make_method, method_names, needed_frames
 
 PRESSES: Final = ("low", "medium", "high")
 OBJECTS: Final = ("octopus", "cup", "cube")
@@ -214,7 +214,7 @@ class _Rig:
 
     @classmethod
     def measured(cls, plan: Plan, source: FrameSource) -> _Rig:
-        rivals = any(name == PRESSURE or (name not in PIPELINES and name != BEST_T) for name in plan.methods)
+        rivals = any(name not in PIPELINES and name != BEST_T for name in plan.methods)
         untouched = untouched_frame(source) if rivals else None
         try:
             return cls(measured_rig(plan.preset, source), untouched)

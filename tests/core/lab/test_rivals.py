@@ -80,3 +80,14 @@ def test_every_method_finds_the_cup(cup_frames):
         make_method("proximity-only", preset, rig)
     with pytest.raises(TactuneError, match="no method 'magic'"):
         make_method("magic", preset, rig)
+
+
+class TestPressure:
+    def test_a_plate_is_found_and_carries_the_inflation_times_its_area(self, bulged):
+        """The plate carries p within the radius c and nothing else; both cameras' frames differ, the force does not."""
+        radius_m = 0.5 * bulged.radius_m
+        untouched, frame = bulged.frame(0.0), bulged.frame(radius_m)
+        patch = make_method("pressure", Preset(), bulged.rig, untouched)(frame)
+        assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.65
+        assert patch.pressure.force_mm2[2] == pytest.approx(-1e6 * np.pi * radius_m**2, rel=0.08)  # small slopes
+        assert np.hypot(*patch.pressure.force_mm2[:2]) < 0.05 * 1e6 * np.pi * radius_m**2
