@@ -12,6 +12,7 @@ from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import TactuneError
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.metrics import patch_overlap
+from ...core.model.patch import Doubt
 from ...core.preset import Preset
 from ..document.comparison import Sides
 from .playback import PlaybackState
@@ -93,6 +94,7 @@ class FrameProcessor:
         self._present = PatchFinder(missing, follows=True)
         self._others: list[PatchFinder] = []
         self._processed = 0
+        self._doubt: Doubt | None = None
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
 
     def set_cameras_moved(self, moved: bool) -> None:
@@ -134,13 +136,15 @@ class FrameProcessor:
         render_ms = 1e3 * (time.perf_counter() - started)
         self._processed += 1
         patch = self._present.patch
+        if wanted.words or patch is None or self._doubt is None or not self._doubt.touch_probability:
+            self._doubt = None if patch is None else patch.doubt
         return Result(
             source=info,
             frame=frame,
             preset=self._present.preset,
             patch=patch,
             area_mm2=patch.area_mm2 if patch is not None else 0.0,
-            doubt=patch.doubt if patch is not None else None,
+            doubt=self._doubt,
             force_arrow_m=patch.force_arrow_m if patch is not None else None,
             rendered=rendered,
             playback=playback,

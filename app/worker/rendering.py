@@ -172,6 +172,7 @@ class Scene:
     tactile_range_m: tuple[float, float] | None = None
     pressure: PressureFacts | None = None  # if it is what the colours mean
     pressure_top: float = 1.0  # share of the inflation that has the last colour
+    hatched: bool = True  # doubtful contacts
 
     @property
     def accepted(self) -> float:
@@ -188,6 +189,7 @@ class Renderer:
         self._median_m, self._pressure_top = float("nan"), 1.0
         self._last_clouds: dict[CloudName, DepthCloud | None] = {}
         self._counts: dict[CloudName, int] = {}
+        self._doubtful = False
         self._no_contact = "", ""
 
     def render(
@@ -205,9 +207,13 @@ class Renderer:
             color_by = ColorBy.CONTACT
         elif wanted.words:
             self._pressure_top = max(self._pressure_top, _pressure_top(pressure))
+        if wanted.words and patch is not None:
+            doubts = [each.doubt.touch_probability for each in patch.contacts]
+            self._doubtful = min(doubts, default=0.0) < SURE  # a first contact is looked at again
         scene = Scene(
-            frame, patch, preset, rig, color_by, theme, depth_range_m, tactile_range_m, pressure, self._pressure_top
-        )
+            frame, patch, preset, rig, color_by, theme, depth_range_m, tactile_range_m, pressure, self._pressure_top,
+            hatched=self._doubtful,
+        )  # fmt: skip
         clouds = {
             name: self._shared(name, self._with_count(name, _VIEWS[name](scene), wanted.words))
             for name in CloudName
@@ -361,15 +367,16 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     patch = scene.patch
     if patch is None:
         return None
+    shown = patch.mask & ~hatching(patch) if scene.hatched else patch.mask
     if scene.color_by is ColorBy.PROVENANCE:
         late = np.isin(patch.provenance, LATE_VERDICTS)
         index, lut = _over_relief(scene, patch.provenance, late), _relief_lut(scene.theme, provenance_lut)
     elif scene.pressure is not None:
         rows = np.zeros(patch.mask.shape, np.uint8)
         rows[patch.mask] = pressure_index(scene.pressure.at_points.get(), scene.pressure_top)
-        index, lut = _over_relief(scene, rows, patch.mask & ~hatching(patch)), _relief_lut(scene.theme, pressure_lut)
+        index, lut = _over_relief(scene, rows, shown), _relief_lut(scene.theme, pressure_lut)
     else:
-        index, lut = _relief(scene, patch.mask & ~hatching(patch)), patch_lut(scene.theme)
+        index, lut = _relief(scene, shown), patch_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 

@@ -79,8 +79,8 @@ class Wanted:
     ``images`` are the names of those that are shown, ``strip_width`` is the width of one of them on the screen in
     pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
-    ``words`` counts the points of both cameras, says why a patch is empty and measures the range of the depth colours;
-    else those of an earlier frame stay.
+    ``words`` counts the points of both cameras, judges the patch or says why it is empty, and measures the range of the
+    depth colours; else those of an earlier frame stay.
     """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
