@@ -4,7 +4,7 @@ import json
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QTextBrowser
+from PyQt6.QtWidgets import QPushButton
 
 from fakes import FakeSource, at_rest, tiny_rig
 from hands import show_source, text_of
@@ -116,19 +116,6 @@ def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbo
     assert window.messages.sentences() == []
     window.worker.seek(5)
     qtbot.waitUntil(lambda: at_rest(window, 5))
-
-
-def test_help_lists_every_shortcut(window, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_F1, Qt.KeyboardModifier.ShiftModifier)
-    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QDialog))
-    dialog = QApplication.activeModalWidget()
-    words = dialog.findChild(QTextBrowser).toPlainText()
-    for action in window.actions_.all():
-        for shortcut in action.shortcuts():
-            assert shortcut.toString() in words
-    assert "Space" in words
-    QTest.keyClick(dialog, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
 
 
 def test_every_shortcut_belongs_to_one_action(window):

@@ -3,11 +3,13 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import tiny_frame, tiny_rig
+from small_recordings import NoisyPress, small_rig
 from tactune.app.window.status import FrameStatus, patch_readings
 from tactune.app.window.toolbar import FrameNumber
 from tactune.app.worker.playback import PlaybackState
@@ -86,3 +88,17 @@ def test_enter_goes_to_the_typed_frame_and_escape_brings_the_shown_one_back(qtbo
         QTest.keyClick(number, key)
         assert number.text() == f"{shown} of 8" and not number.hasFocus()
     assert sought == [5, 7]
+
+
+def test_a_first_contact_is_judged_at_once_while_frames_play():
+    processor, rig = FrameProcessor(), small_rig(64)
+    press = NoisyPress(0, rig, 3, with_truth=False)
+    info = SourceInfo("press", rig, 3, 30.0)
+    contact = press.next_frame()
+    nothing = replace(contact, proximity_depth=np.zeros_like(contact.proximity_depth))
+    playing = PlaybackState(length=3, playing=True)
+    preset = Preset(contact_test="tolerance")
+    judged = [processor.process(info, frame, preset, Wanted(), playing).doubt for frame in (nothing, contact, contact)]
+    at_rest = processor.process(info, contact, preset, Wanted(), PlaybackState()).doubt
+    first, second, third = (doubt.touch_probability for doubt in judged)
+    assert first == 0.0 < second == third == at_rest.touch_probability
