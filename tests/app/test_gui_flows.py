@@ -130,6 +130,7 @@ def test_hovering_says_why_a_pixel_was_kept(window, qtbot):
     assert f"({WIDTH // 2}, {HEIGHT // 2})" in text
     assert "dp 0.252" in text
     assert "dt 0.250" in text
+    assert "= +0.8% (+2.1 mm)" in text
     QTest.mouseMove(pane.view.viewport(), image_position(pane, 2, 2).toPoint())
     qtbot.waitUntil(lambda: "Dropped" in window.strip.readout.text())
 

@@ -8,6 +8,7 @@ from PyQt6.QtWidgets import QApplication, QToolButton
 from fakes import FakeSource
 from hands import CONTROL, CONTROL_SHIFT, show_source
 from tactune.app.window.modes import Mode
+from tactune.app.window.search import Search
 from tactune.core.preset import CONTACT_TESTS
 from tactune.widgets.parameters.slider import Slider
 
@@ -53,6 +54,19 @@ def test_enter_runs_the_entry_that_the_arrows_marked(window, qtbot):
         QTest.keyClick(popup, Qt.Key.Key_Down)
     with qtbot.waitSignal(window.actions_.top_view.triggered):
         QTest.keyClick(popup, Qt.Key.Key_Return)
+
+
+def test_enter_passes_over_what_cannot_be_done_now(qtbot):
+    done = []
+    field = Search(lambda: [("Save", "", None), ("Save as", "Ctrl+S", lambda: done.append("as"))], lambda: None)
+    qtbot.addWidget(field)
+    field.show()
+    field.activateWindow()
+    qtbot.waitUntil(field.isActiveWindow)
+    field.setFocus()
+    QTest.keyClicks(field, "save")
+    QTest.keyClick(field, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: done == ["as"])
 
 
 def test_the_mode_is_remembered(make_window, qtbot):

@@ -159,6 +159,7 @@ def drag_band(slider, start, *targets):
     [
         (False, 50, 120, 0, [(50, 100, 160)], (120, 120)),  # handles do not cross
         (False, 50, 120, 5, [(120, 80, 10)], (50, 55)),
+        (False, 50, 120, 5, [(50, 100, 160)], (115, 120)),
         (True, 150, 170, 0, [(170, 100, 10)], (150, 10)),  # but on a circle they do
         (False, 50, 100, 0, [(70, 60)], (60, 100)),  # a press beside brings the nearer one
     ],

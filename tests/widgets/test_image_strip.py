@@ -131,6 +131,9 @@ def test_the_keyboard_points_clicks_and_zooms(strip, qapp):
     assert found == [(321, 240), (321, 230)]
     QTest.keyClick(strip, Qt.Key.Key_Return)
     assert clicks == [("color", 321, 230, NONE)]
+    for _ in range(40):
+        QTest.keyClick(strip, Qt.Key.Key_Right, Qt.KeyboardModifier.ShiftModifier)
+    assert found[-1] == (639, 230)
     whole = seen_rect(strip, "difference")
     QTest.keyClick(strip, Qt.Key.Key_Plus)
     qapp.processEvents()

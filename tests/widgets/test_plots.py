@@ -44,9 +44,24 @@ def test_the_caption_tells_the_share_within_the_lines(histogram):
     assert "%" not in histogram.caption()
     histogram.set_data(np.full(40, 20), EDGES, known=1000)
     assert histogram.caption() == "24.0 % within t"  # 12 of 40 bars, and 200 values beyond them
+    assert [item.yData.sum() for item in histogram.plot_widget.getPlotItem().listDataItems()] == [800, 240]
     drag(histogram, 3.0, 6.0)
     share = float(histogram.caption().split()[0])
     assert share == pytest.approx(48, abs=2)
+
+
+def test_the_scale_stays_while_a_line_is_dragged(histogram):
+    def shown():
+        return tuple(histogram.plot_widget.getPlotItem().getViewBox().viewRange()[0])
+
+    viewport, before = histogram.plot_widget.viewport(), shown()
+    QTest.mousePress(viewport, LEFT, pos=bar_at(histogram, 3.0))
+    for target in (6.0, 9.9):
+        QTest.mouseMove(viewport, bar_at(histogram, target))
+        assert shown() == before
+    QTest.mouseRelease(viewport, LEFT, pos=bar_at(histogram, 9.9))
+    histogram.set_data(np.arange(40), EDGES)
+    assert shown() != before, "there is room to drag it farther"
 
 
 @pytest.mark.parametrize(("start", "target"), [(3.0, 6.0), (3.0, -6.0)])

@@ -37,6 +37,9 @@ def test_one_drag_is_one_step_and_two_drags_are_two(document):
     assert document.undo_stack.undoText() == "Tolerance t 5 %"
     document.undo_stack.undo()
     assert document.preset.tolerance.t == 0.03
+    for value in (0.04, 0.03):
+        document.edit("tolerance.t", value, gesture=9)
+    assert document.undo_stack.count() == 0, "a drag that ends where it began is no step"
 
 
 @pytest.mark.parametrize(
