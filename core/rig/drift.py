@@ -57,6 +57,8 @@ _MAX_PLACES, _MIN_PLACES, _APART_PX, _WINDOW_PX = 300, 20, 12, 15
 _SCATTER_PX, _FAR_M = 3.0, 0.001
 #: A change of the apex moves the texture sideways by at most this share of it.
 _PRESSURE_SHIFT: Final = 0.06
+#: No membrane bulges exactly as assumed: on prints the error is up to this share of the apex's change.
+_BULGE_ERROR: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
         if shift is not None
     }
     planes_m = {name: _rms(seen) for name, seen in planes.items()}
+    if "proximity" in planes_m:
+        planes_m["proximity"] = max(planes_m["proximity"] - _BULGE_ERROR * abs(inflation_m), 0.0)
     ways = {
         name: _way(planes.get(name), None if shift_m.get(name, 0.0) < planes_m.get(name, 0.0) else shifts.get(name))
         for name in {**planes_m, **shift_m}

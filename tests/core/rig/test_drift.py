@@ -58,7 +58,7 @@ def test_a_dent_is_a_touch_and_no_drift():
     now = take_snapshot([drifted(press="medium").read(index) for index in range(5)]).frame
     found = compare_with_untouched(PRESET, drifted().rig, now, untouched())
     assert found.verdict == "touched"
-    aligned = AlignmentDrift(0.1, 0.05, False, "", np.zeros((1, 2)), np.zeros((1, 2)))
+    aligned = AlignmentDrift(0.1, False, "", np.zeros((1, 2)), np.zeros((1, 2)))
     assert RigCheck(aligned, found).state == RigCheck("no colour", found).state == "unknown"
     assert "remove it" in found.sentence
 
