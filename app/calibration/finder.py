@@ -12,10 +12,10 @@ from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError, counted
 from ...core.model.alignment import PointPair
 from ...core.model.frames import Rig
-from ...widgets.basics.controls import ElidedLabel, ProgressBar, caption, push_button
+from ...widgets.basics.controls import ElidedLabel, caption, push_button
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import STRETCH, hbox
-from ..worker.jobs import Job, Progress
+from ..worker.jobs import Job, JobRow, Progress
 from .pictures import picture
 from .session import SIDES, Choices, Session, SessionState, Snapshot, Target, renumbered, tactile_depth
 
@@ -109,12 +109,10 @@ class Finder(QWidget):
             box.setSuffix(f" {name}")
             box.setAccessibleName(f"Number of {name}")
             box.setToolTip(f"Number of inner corners in a {other}")
-        self.cancel = push_button("Cancel", "Stop searching")
-        self.progress, self.words = ProgressBar(), ElidedLabel()
-        row = (caption("&Find", self.target), self.target, self.columns, self.rows, self.progress, self.cancel)
+        self.running, self.words = JobRow(self.job), ElidedLabel()
+        row = (caption("&Find", self.target), self.target, self.columns, self.rows, self.running)
         hbox(*row, STRETCH, within=self, margins=0, spacing=8)
         self.search.clicked.connect(self.find_points)
-        self.cancel.clicked.connect(self.job.cancel)
         self.target.activated.connect(
             lambda _: session.choose(f"Look for: {self.target.currentText()}", target=self.target.currentData())
         )
@@ -123,7 +121,6 @@ class Finder(QWidget):
         )
         self.rows.valueChanged.connect(lambda count: session.choose("Rows of the board", gestures.number(), rows=count))
         session.changed.connect(self._show_state)
-        self.job.progress.connect(self.progress.show_share)
         self.job.done.connect(self._found)
         self.job.failed.connect(self._failed)
         self.job.busyChanged.connect(self._show_busy)
@@ -149,8 +146,6 @@ class Finder(QWidget):
         self._show_busy(self.busy)
 
     def _show_busy(self, busy: bool) -> None:
-        self.progress.setVisible(busy)
-        self.cancel.setVisible(busy)
         self.words.setVisible(not busy and bool(self.words.text()))
         self.search.setEnabled(not busy and bool(self._session.state.snapshots))
 

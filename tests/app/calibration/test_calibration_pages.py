@@ -185,9 +185,9 @@ def test_next_waits_for_the_search_and_the_search_can_be_cancelled(open_wizard, 
     wizard.go_to(1)
     QTest.keyClick(wizard, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier)
     finder = wizard.points.finder
-    qtbot.waitUntil(finder.cancel.isVisible)
+    qtbot.waitUntil(finder.running.cancel.isVisible)
     assert "not complete" in wizard.verdict.text() and not wizard.next.isEnabled()
-    QTest.mouseClick(finder.cancel, LEFT)
+    QTest.mouseClick(finder.running.cancel, LEFT)
     qtbot.waitUntil(lambda: "Cancelled" in finder.words.text())
     assert finder.search.isEnabled() and not wizard.session.state.pairs
 
