@@ -24,7 +24,9 @@ from tactune.app.calibration.wizard import CalibrationWizard
 from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.results import ColorBy
 from tactune.core.sources.presets import load_preset
+from tactune.widgets.basics.gestures import new_gesture
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "guide" / "images"
 #: The deepest frame of the simulator's press.
@@ -142,6 +144,20 @@ def panel_tolerance() -> None:
         save(window.panel, "panel-tolerance")
 
 
+def pressure() -> None:
+    """The views in the colours of contact pressure, with the force."""
+    with opened() as window:
+        window.actions_.capture_untouched.trigger()
+        window.set_up.untouched.work.start.click()
+        wait(lambda: window.document.preset.untouched is not None, "untouched frame")
+        window.document.edit_many({"contact_test": "pressure", "pressure.gauge_pa": 1500.0}, new_gesture())
+        window.views.choose_colors(ColorBy.PRESSURE)
+        show_frame(window, PRESSED_FRAME)
+        wait(lambda: window.result is not None and window.result.rendered.color_by is ColorBy.PRESSURE, "colours")
+        settle()
+        save(window.views, "pressure")
+
+
 def suggestions() -> None:
     """Suggestions for a preset without a mask and with a wrong depth offset."""
     with opened({"mask.enabled": False, "alignment.depth_offset_m": 0.008}) as window:
@@ -191,6 +207,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "mask": mask,
     "panel-membrane": panel_membrane,
     "panel-tolerance": panel_tolerance,
+    "pressure": pressure,
     "suggestions": suggestions,
     "wizard-points": wizard_points,
     "quality": quality,

@@ -42,10 +42,10 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     return (
         Reading(area, "area", "00,000 mm²"),
         Reading(touches, "touches", "100 %"),
+        *force,
         Reading(rate, "frame rate", "00 fps"),
         Reading(centroid, "centroid x, y, z in mm", "−000, −000, 000"),
         Reading(edge, "edge", "±00.0 mm"),
-        *force,
     )
 
 

@@ -23,14 +23,15 @@ from ...core.model.patch import SURE, PressureFacts, Provenance
 from ...core.preset import Preset
 from ...core.tuning.advice.findings import depth_missing
 from ...widgets.basics.colormaps import (
+    CONTACT_ROW,
     LATE_VERDICTS,
     depth_lut,
     depth_lut_faint_behind,
-    patch_index,
     patch_lut,
     pressure_index,
     pressure_lut,
     provenance_lut,
+    relief_index,
 )
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
@@ -376,7 +377,8 @@ def patch_view(scene: Scene) -> DepthCloud | None:
         rows[patch.mask] = pressure_index(scene.pressure.at_points.get(), scene.pressure_top)
         index, lut = _over_relief(scene, rows, shown), _relief_lut(scene.theme, pressure_lut)
     else:
-        index, lut = _relief(scene, shown), patch_lut(scene.theme)
+        index, lut = _relief(scene), patch_lut(scene.theme)
+        index[shown] = CONTACT_ROW
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 
@@ -445,16 +447,15 @@ def _counted(field: str, image: Float32Array, low: float, high: float, bins: int
     return Histogram(field, counts.ravel().astype(np.int64), edges, len(values))
 
 
-def _relief(scene: Scene, contact: BoolArray) -> Uint8Array:
-    """Return rows of `patch_lut`: contact, and shades of the context over the range of the depth colours."""
+def _relief(scene: Scene) -> Uint8Array:
+    """Return rows of `patch_lut`: shades of the context over the range of the depth colours."""
     near, far = (limit / scene.rig.proximity.depth_unit_m for limit in scene.depth_range_m)
-    return patch_index(contact, scene.frame.proximity_depth, near, far)
+    return relief_index(scene.frame.proximity_depth, near, far)
 
 
 def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Array:
     """Return rows of a table: shades of the context below, values 0 to 127 above, where ``within``."""
-    shades = _relief(scene, within) >> 1
-    return np.asarray(np.where(within, rows + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)), np.uint8)
+    return np.where(within, rows + np.uint8(VALUE_ROWS), _relief(scene) >> 1)
 
 
 @cache

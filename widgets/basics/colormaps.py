@@ -172,23 +172,16 @@ def provenance_lut(theme: ThemeName) -> Uint8Array:
 LATE_VERDICTS: Final = tuple(reason for reason in _REASON_RGB if reason != Provenance.NO_TACTILE_DEPTH)
 
 
-def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
-    """Return rows of `patch_lut`, uint8 (H, W), for a mask and the raw depth around it, shaded from near to far."""
-    rows = _shades(depth, near, far)
-    rows[contact] = CONTACT_ROW
-    return rows
-
-
-def _shades(depth: Uint16Array, near: float, far: float) -> Uint8Array:
-    """Return the row of the context for every pixel; OpenCV's vector loops are several times faster than a table."""
+def relief_index(depth: Uint16Array, near: float, far: float) -> Uint8Array:
+    """Return rows of `patch_lut` for raw depth around a patch, shaded from near to far: uint8 (H, W)."""
     beyond: Any = cv2.subtract(depth, float(round(near)))  # type: ignore[call-overload]  # 0 where nearer
-    rows = cv2.convertScaleAbs(beyond, alpha=(CONTACT_ROW - 1) / (far - near))
+    rows = cv2.convertScaleAbs(beyond, alpha=(CONTACT_ROW - 1) / (far - near))  # several times faster than a table
     return np.asarray(cv2.min(rows, CONTACT_ROW - 1), np.uint8)  # type: ignore[call-overload]
 
 
 @cache
 def patch_lut(theme: ThemeName) -> Uint8Array:
-    """Return the colours of `patch_index`: uint8 (256, 4); what lies behind the relief's range is fainter still."""
+    """Return the colours of `relief_index`, faint behind its range, and in the last row of contact: uint8 (256, 4)."""
     near, far = _RELIEF_GRAY[theme]
     lut = np.full((256, 4), 255, np.uint8)
     lut[:CONTACT_ROW, :3] = np.rint(np.linspace(near, far, CONTACT_ROW))[:, None]
