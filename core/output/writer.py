@@ -224,8 +224,8 @@ class PatchWriter:
 #: Patch and findings of a frame, as messages.
 Results = Callable[[SensorFrame], Mapping[str, bytes]]
 
-#: Memory limit of the queue: about two seconds of a full rig.
-QUEUE_BYTES = 256 * 2**20
+#: Memory limit of the queue: about two seconds of a full rig; one frame is always accepted.
+_QUEUE_BYTES = 256 * 2**20
 
 #: Frames that may still get a pose; a pose that comes later is not kept.
 _AWAITING_POSE = 300
@@ -267,8 +267,6 @@ class SessionWriter:
         Whether there may be poses of an object.
     results : callable, optional
         Returns patch and findings of each frame; called on the writing thread.
-    queue_bytes : int
-        Memory limit of the queue, bytes; one frame is always accepted.
 
     Raises
     ------
@@ -286,7 +284,6 @@ class SessionWriter:
         untouched: SensorFrame | None = None,
         poses: bool = False,
         results: Results | None = None,
-        queue_bytes: int = QUEUE_BYTES,
     ) -> None:
         self._rig, self._has_poses, self._results = rig, poses, results
         self._streams = image_streams(rig)
@@ -294,7 +291,6 @@ class SessionWriter:
         attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
         self._bag = Bag(path, self._topics(), rig, preset, frame_rate_hz, attachments)
         self._queue: deque[tuple[Callable[[], None], int]] = deque()
-        self._queue_bytes = queue_bytes
         self._waiting_bytes = 0
         self._changed = threading.Condition()
         self._awaiting_pose: deque[int] = deque(maxlen=_AWAITING_POSE)
@@ -376,7 +372,7 @@ class SessionWriter:
         return size
 
     def _has_room(self, size: int) -> bool:
-        return not self._waiting_bytes or self._waiting_bytes + size <= self._queue_bytes
+        return not self._waiting_bytes or self._waiting_bytes + size <= _QUEUE_BYTES
 
     def _run(self) -> None:
         self._attempt(self._write_frames)

@@ -133,48 +133,41 @@ def _picture(bag: Bag, image: ImageTopic) -> Uint8Array:
     return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def _paths(text: str) -> tuple[Path, ...]:
+    """Return the file, the folder, or the two files that a name means."""
+    return recording_files(text) or (user_path(text),)
+
+
 class RosSource(RecordedSource):
     """A ROS bag of any program; ``rest`` is its path, and behind a question mark topics, which are kept beside it."""
 
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
         paths = _paths(text)
-        path, name = paths[0], f"{scheme}:{text}"
-        if not path.exists():
-            raise SourceError(f"{name}: there is no file {path}; check the path")
+        self._path, self._progress, name = paths[0], progress, f"{scheme}:{text}"
+        if not self._path.exists():
+            raise SourceError(f"{name}: there is no file {self._path}; check the path")
         with ExitStack() as resources:
-            bag = open_bag(paths, progress)
-            resources.callback(bag.close)
-            with damage_told(path, "it is damaged"):
-                found = _Cameras(path, bag, progress)
-                cameras, pose = found.choose(chosen or load_topics(path))
-            super().__init__(name, cameras, resources, found.lacks, pose)
+            self._bag = open_bag(paths, progress)
+            resources.callback(self._bag.close)
+            cut = f"{self._path.name} was cut off: it is shown up to its last whole part"
+            self._lacks = [] if self._bag.complete else [cut]
+            with damage_told(self._path, "it is damaged"):
+                self._images = {image.name: image for image in survey(self._bag)}
+                self._poses = Frames(self._bag)
+                cameras, pose = self._choose(chosen or load_topics(self._path))
+            super().__init__(name, cameras, resources, self._lacks, pose)
             self.read(0)
             self._resources = resources.pop_all()
         if chosen:
-            store_topics(path, chosen)
+            store_topics(self._path, chosen)
 
-
-def _paths(text: str) -> tuple[Path, ...]:
-    """Return the file, the folder, or the two files that a name means."""
-    return recording_files(text) or (user_path(text),)
-
-
-class _Cameras:
-    """Makes the cameras of a recording from its topics; ``lacks`` says what they lack."""
-
-    def __init__(self, path: Path, bag: Bag, progress: Progress | None) -> None:
-        self._path, self._bag, self._progress = path, bag, progress
-        self._images = {image.name: image for image in survey(bag)}
-        self._frames = Frames(bag)
-        self.lacks = [] if bag.complete else [f"{path.name} was cut off: it is shown up to its last whole part"]
-
-    def choose(self, chosen: Topics) -> tuple[list[RecordedCamera], Matrix4 | None]:
+    def _choose(self, chosen: Topics) -> tuple[list[RecordedCamera], Matrix4 | None]:
         """Return the cameras on these topics, else on those that their names tell, and the pose between them."""
         images = list(self._images.values())
-        topics, gap = guess_topics(images, self._frames.joined)
+        topics, gap = guess_topics(images, self._poses.joined)
         if chosen:
-            topics, gap = complete_topics(chosen, topics, images, self._frames.joined)
+            topics, gap = complete_topics(chosen, topics, images, self._poses.joined)
         if gap:
             raise SourceError(
                 f"{self._path}: {gap}; name them with --topics proximity.depth=/topic,tactile.depth=/topic; "
@@ -185,15 +178,15 @@ class _Cameras:
         if len(cameras) == 1:
             return cameras, None
         first, second = (self._images[topics[f"{role}.depth"]].frame for role in roles)
-        pose = self._frames.pose(first, second)
+        pose = self._poses.pose(first, second)
         if pose is None:
-            self.lacks.append(
+            self._lacks.append(
                 "the pose between the cameras is not in this recording (no chain of fixed transforms from "
                 f"{first or 'an unnamed frame'} to {second or 'an unnamed frame'}): calibrate the alignment"
             )
             return cameras, None
         if not pose[:3, 3].any():  # two drivers that were left with the same frame names
-            self.lacks.append(
+            self._lacks.append(
                 f"both cameras are said to be at the same place (frames {first} and {second}), so the pose between "
                 "them is unknown: calibrate the alignment"
             )
@@ -201,7 +194,7 @@ class _Cameras:
         try:
             return cameras, camera_pose(pose)
         except ValueError as error:
-            self.lacks.append(f"the pose between {first} and {second} is not used: {error}")
+            self._lacks.append(f"the pose between {first} and {second} is not used: {error}")
             return cameras, None
 
     def _camera(self, role: str, topics: Topics) -> RecordedCamera:
@@ -231,13 +224,13 @@ class _Cameras:
                 calibration = Calibration(calibration.depth, color_lens.intrinsics, camera_pose(pose))
                 color = partial(self._read, seen, color_lens)
             except _GapError as gap:
-                self.lacks.append(f"the {role} colour is left out: {gap}")
+                self._lacks.append(f"the {role} colour is left out: {gap}")
         depth = partial(self._read, image, lens)
         return RecordedCamera(self._path, calibration, 1 / period_s(times_s), times_s, depth, color, partners)
 
     def _color(self, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
         """Return the lens of a camera's colour and the pose of its depth in it."""
-        pose = self._frames.pose(color.frame, depth.frame)
+        pose = self._poses.pose(color.frame, depth.frame)
         if pose is None:
             raise _GapError(
                 f"no fixed transform joins its frame {color.frame!r} to the frame of the depth, {depth.frame!r}"
@@ -254,7 +247,7 @@ class _Cameras:
         farthest_s = period_s(color_s) / 2
         partners = nearest_within(times_s, color_s, farthest_s)
         if missing := int((partners < 0).sum()):
-            self.lacks.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
+            self._lacks.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
         return partners
 
     def _image_topic(self, slot: str, name: str) -> ImageTopic:

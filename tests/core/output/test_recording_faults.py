@@ -96,8 +96,9 @@ def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same
         write(self, *message)
 
     monkeypatch.setattr(Bag, "write", slowly)
+    monkeypatch.setattr("tactune.core.output.writer._QUEUE_BYTES", 1)
     frames = make_frames(6)
-    writer = SessionWriter(tmp_path / "slow.mcap", rig, queue_bytes=1)
+    writer = SessionWriter(tmp_path / "slow.mcap", rig)
     assert writer.put(frames[0], wait=True)
     end = time.monotonic() + 60
     while not writer.put(frames[1], wait=False):  # until the thread has taken the first
