@@ -37,7 +37,7 @@ from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, s
 _SEARCH_S: Final = 6.0
 _SETTLED_S: Final = 1.0
 _POLL_S: Final = 0.05
-#: How long `depth_topics` listens, seconds: images come at least every 0.2 s.
+#: How long `cameras_here` listens, seconds: images come at least every 0.2 s.
 _LOOK_S: Final = 2.0
 
 
@@ -101,15 +101,6 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
     )
 
 
-def depth_topics(listener: Listener) -> list[ImageTopic]:
-    """Return the topics of depth images that come now."""
-    heard, end_s = _Heard(listener), time.monotonic() + _LOOK_S
-    while time.monotonic() < end_s:
-        heard.listen()
-        time.sleep(_POLL_S)
-    return [image for image in survey(heard) if image.kind == "depth"]
-
-
 class _Heard(Bag):
     """The first message of each topic of cameras, and all fixed transforms, as a recording would hold them."""
 
@@ -171,12 +162,12 @@ def open_in_process(rest: str, progress: Progress | None, cameras: CamerasSectio
 def cameras_here() -> list[ImageTopic]:
     """Return the depth topics that are published in the domain of ``ros2:``; `SourceError` if it cannot be heard."""
     domain, host, _ = _read_name("")
-    try:
-        listener = Listener(domain, host)
-    except ValueError as error:
-        raise SourceError(f"ros2: {error}") from error
-    with closing(listener):
-        return depth_topics(listener)
+    with closing(_listen("ros2", domain, host)) as listener:
+        heard, end_s = _Heard(listener), time.monotonic() + _LOOK_S
+        while time.monotonic() < end_s:
+            heard.listen()
+            time.sleep(_POLL_S)
+        return [image for image in survey(heard) if image.kind == "depth"]
 
 
 def open_topics(rest: str, cameras: CamerasSection, progress: Progress) -> FrameSource:
@@ -184,15 +175,19 @@ def open_topics(rest: str, cameras: CamerasSection, progress: Progress) -> Frame
     domain, host, chosen = _read_name(rest)
     name = f"ros2:{rest}"
     keep_freed_memory()
-    try:
-        listener = Listener(domain, host)
-    except ValueError as error:
-        raise SourceError(f"{name}: {error}") from error
+    listener = _listen(name, domain, host)
     try:
         return Ros2Source(name, listener, find_topics(name, listener, chosen, progress), cameras, progress)
     except BaseException:
         listener.close()
         raise
+
+
+def _listen(name: str, domain: int, host: str) -> Listener:
+    try:
+        return Listener(domain, host)
+    except ValueError as error:
+        raise SourceError(f"{name}: {error}") from error
 
 
 def _read_name(rest: str) -> tuple[int, str, Topics]:

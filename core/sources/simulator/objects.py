@@ -242,7 +242,8 @@ def object_surface(kind: int, spacing_m: float) -> tuple[Float64Array, Int64Arra
     sums, crossings, quads = np.zeros((number.max() + 1, 3)), np.zeros(number.max() + 1), []
     for along in range(3):
         step, beside, before = np.roll(np.eye(3, dtype=np.int64), -along, axis=0)
-        start = _crossed_edges(values, along)
+        ahead = np.moveaxis(values < 0, along, 0)  # starts of the edges along this axis that the surface crosses
+        start = np.argwhere(np.moveaxis(ahead[:-1] != ahead[1:], 0, along))
         near, far = values[tuple(start.T)], values[tuple((start + step).T)]
         places = axis[start] + (near / (near - far))[:, None] * step * spacing_m
         around = np.stack([number[tuple((start - back).T)] for back in (beside + before, before, 0 * step, beside)], 1)
@@ -264,13 +265,6 @@ def _voxel_numbers(inside: BoolArray) -> Int64Array:
     number = np.full(passed.shape, -1, np.int64)
     number[passed] = np.arange(np.count_nonzero(passed))
     return number
-
-
-def _crossed_edges(values: Float32Array, along: int) -> Int64Array:
-    """Return the start indices, (N, 3), of the grid edges along one axis that the surface crosses."""
-    ahead = np.moveaxis(values < 0, along, 0)
-    crossed = np.moveaxis(ahead[:-1] != ahead[1:], 0, along)
-    return np.argwhere(crossed)
 
 
 def to_surface(kind: int, points: Float64Array) -> Float64Array:
