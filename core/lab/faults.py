@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 import cv2
@@ -52,31 +53,22 @@ class Fault:
     mask: bool = True
 
 
-def _dimmed(factors: tuple[float, float, float]) -> _ImageFault:
-    def change(frame: SensorFrame, rng: np.random.Generator) -> SensorFrame:
-        dimmed = np.asarray(frame.proximity_color * np.array(factors, np.float32), np.uint8)
-        return replace(frame, proximity_color=dimmed)
-
-    return change
+def _dimmed(factors: tuple[float, float, float], frame: SensorFrame, rng: np.random.Generator) -> SensorFrame:
+    dimmed = np.asarray(frame.proximity_color * np.array(factors, np.float32), np.uint8)
+    return replace(frame, proximity_color=dimmed)
 
 
-def _without_depth(share: float) -> _ImageFault:
-    def change(frame: SensorFrame, rng: np.random.Generator) -> SensorFrame:
-        images = []
-        for image in (frame.proximity_depth, frame.tactile_depth):
-            lost = rng.random(image.shape, np.float32) < share
-            images.append(np.where(lost, np.uint16(0), image))
-        return replace(frame, proximity_depth=images[0], tactile_depth=images[1])
-
-    return change
+def _without_depth(share: float, frame: SensorFrame, rng: np.random.Generator) -> SensorFrame:
+    images = []
+    for image in (frame.proximity_depth, frame.tactile_depth):
+        lost = rng.random(image.shape, np.float32) < share
+        images.append(np.where(lost, np.uint16(0), image))
+    return replace(frame, proximity_depth=images[0], tactile_depth=images[1])
 
 
-def _scaled_tactile(factor: float) -> _ImageFault:
-    def change(frame: SensorFrame, rng: np.random.Generator) -> SensorFrame:
-        scaled = np.where(frame.tactile_depth < 65535, np.round(frame.tactile_depth * factor), 65535)
-        return replace(frame, tactile_depth=scaled.astype(np.uint16))
-
-    return change
+def _scaled_tactile(factor: float, frame: SensorFrame, rng: np.random.Generator) -> SensorFrame:
+    scaled = np.where(frame.tactile_depth < 65535, np.round(frame.tactile_depth * factor), 65535)
+    return replace(frame, tactile_depth=scaled.astype(np.uint16))
 
 
 FAULTS: Final[dict[str, Fault]] = {
@@ -88,12 +80,12 @@ FAULTS: Final[dict[str, Fault]] = {
         from_start=True, mask=False,
     ),
     "peeled": Fault("prints no longer reflect", {"prints_reflect": False}),
-    "light": Fault("light dims to half", images=_dimmed((0.5, 0.5, 0.5))),
-    "warm": Fault("light becomes warmer", images=_dimmed((1.0, 0.85, 0.6))),
-    "holes": Fault("30 % of the pixels without depth", images=_without_depth(0.3)),
+    "light": Fault("light dims to half", images=partial(_dimmed, (0.5, 0.5, 0.5))),
+    "warm": Fault("light becomes warmer", images=partial(_dimmed, (1.0, 0.85, 0.6))),
+    "holes": Fault("30 % of the pixels without depth", images=partial(_without_depth, 0.3)),
     "patches": Fault("15 % of the tactile depth missing in patches", {"stereo_hole_share": 0.15}),
     "turned": Fault("tactile camera turned by 0.2 degrees", turn_deg=0.2),
-    "scale": Fault("tactile depth grows by 0.5 %", images=_scaled_tactile(1.005)),
+    "scale": Fault("tactile depth grows by 0.5 %", images=partial(_scaled_tactile, 1.005)),
     "slope": Fault("bias slopes by 2 mm over the image", {"tof_slope_m": 0.002}),
     "noise": Fault(
         "noise doubles", {"tof_white_m": 0.0002, "tof_correlated_m": 0.00086, "stereo_correlated_px": 0.09}
