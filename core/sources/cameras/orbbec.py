@@ -126,7 +126,6 @@ class OrbbecCamera(Camera):
             raise
 
     def read(self, timeout_s: float) -> Images | None:
-        """Wait for the next images and copy them; None if none come in time."""
         frames = self._pipeline.wait_for_frames(max(int(1e3 * timeout_s), 1))
         depth = None if frames is None else frames.get_depth_frame()
         if depth is None:
@@ -138,14 +137,12 @@ class OrbbecCamera(Camera):
         return Images(int(depth.get_index()), self._depth_lens.rectify(counts), pixels, 1e-6 * stamp_us or time.time())
 
     def close(self) -> None:
-        """Stop streaming; twice is harmless."""
         if self._is_streaming:
             self._is_streaming = False
             with suppress(RuntimeError, self._sdk.OBError):  # unplugged meanwhile
                 self._pipeline.stop()
 
     def options(self) -> tuple[CameraOption, ...]:
-        """Return the settings that can be changed, with their present values."""
         found = []
         for name in _OFFERED:
             with suppress(RuntimeError, self._sdk.OBError, AttributeError):  # not in this mode, or of another version
@@ -153,7 +150,6 @@ class OrbbecCamera(Camera):
         return tuple(found)
 
     def set_option(self, name: str, value: float) -> None:
-        """Change one setting."""
         known = {option.name: option for option in self.options()}
         if (option := known.get(name)) is None:
             raise SourceError(f"the {self.info.title} has no option {name!r}; it has {', '.join(known) or 'none'}")
