@@ -204,6 +204,8 @@ def _pressure_evidence(contact: Candidates, facts: PressureFacts) -> tuple[float
         reasons.append("pressure hardly above the noise")
     if facts.at_rim:
         evidence, reasons = evidence + math.log(_WRONG_ODDS), [*reasons, "at the rim"]
+    if not facts.agrees:
+        reasons.append("force and pressure disagree")
     if not facts.noise_known:
         evidence, reasons = evidence + math.log(_WRONG_ODDS), [*reasons, "noise not measured"]
     return evidence, tuple(reasons)

@@ -196,6 +196,7 @@ class PressureFacts:
     window_m: float  # Sigma of the window over which curvature is averaged
     curvature_growth: float  # Of the free membrane since it was untouched, as a factor: by inflation and by the press
     at_rim: bool  # Whether a contact is so near the rim, or a part without depth, that its surroundings are cut off
+    agrees: bool  # Whether area times pressure gives the force, too, within its standard deviations
     noise_known: bool  # Whether the noise was measured with the rig
 
     @property

@@ -48,6 +48,8 @@ _MARGIN, _RAMP, _REACH = 2.0, 3.0, 10.0
 _BOTH_SHARE: Final = 0.05
 #: Error of the force by the model, share: tension that differs with direction and place.
 _MODEL_SHARE: Final = 0.05
+#: The force and the sum of area times pressure differ by less than this many standard deviations of the force.
+_APART_SIGMAS: Final = 2.5
 #: A contact too small to look flat ends at this share of its largest pressure, which is this quantile.
 _SMALL_SHARE, _QUANTILE = 0.5, 0.9
 #: Beyond this many standard deviations a cell tells nothing of the free membrane.
@@ -289,7 +291,7 @@ class _Now:
         from . import surface
 
         rest, section = self._rest, preset.pressure
-        force, sigma, at_rim = np.zeros(3), np.zeros(3), False
+        force, sigma, at_rim, agrees = np.zeros(3), np.zeros(3), False, True
         if touching.any():
             slopes = self._fine.get().fit[0]
             depth_m = np.where(np.isfinite(slopes), slopes, self._shape.fit[0])
@@ -301,8 +303,10 @@ class _Now:
             free = (away > _MARGIN) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
             bulge = float(np.median(self.bulge_per_m[free])) if free.any() else math.nan
             bulge = bulge if bulge > 0 else math.nan  # where it is flat, nothing tells its tension
-            air, pull = surface.balance(rest.grid.points(depth_m), weight)
+            points = rest.grid.points(depth_m)
+            air, pull = surface.balance(points, weight)
             force = pull / bulge - air
+            by_area = -surface.balance(points, weight * np.nan_to_num(self.relative))[0]
             # tension from a few independent windows, slopes along the loop, and the model
             windows = max(np.count_nonzero(free) / (4 * math.pi * rest.window**2), 1.0)
             loop_m = rest.cell_m * 2 * math.sqrt(math.pi * np.count_nonzero(weight > 0))
@@ -311,6 +315,7 @@ class _Now:
             by_tension = np.abs(pull) / bulge * rest.sigma_per_m / bulge / math.sqrt(windows)
             by_model = _MODEL_SHARE * float(np.linalg.norm(force)) * (2.0 if at_rim else 1.0)
             sigma = np.sqrt(by_slopes**2 + by_tension**2 + by_model**2)
+            agrees = bool(np.linalg.norm(force - by_area) < _APART_SIGMAS * np.linalg.norm(sigma))
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
         usual = self._sigma[np.isfinite(self._sigma)]
         return PressureFacts(
@@ -323,6 +328,7 @@ class _Now:
             window_m=rest.window * rest.cell_m,
             curvature_growth=self.grown,
             at_rim=at_rim,
+            agrees=agrees,
             noise_known=rest.noise_known,
         )
 

@@ -170,6 +170,28 @@ def at_rest():
         return ContactPipeline(measured_rig(PRESSURE, source), source.rig, untouched_frame(source))
 
 
+def test_a_force_that_area_times_pressure_does_not_give_is_a_doubt():
+    """Deep beside the rim the tension differs with direction: both figures of the force are off, and apart."""
+    with coarse(press="medium") as source:
+        rig, frame, untouched, preset = (
+            source.rig,
+            source.read(0),
+            untouched_frame(source),
+            measured_rig(PRESSURE, source),
+        )
+    assert ContactPipeline(preset, rig, untouched).process(frame).pressure.agrees
+    with coarse(press="high", side="left", membrane="soft") as source:
+        rig, frame, untouched, preset = (
+            source.rig,
+            source.read(0),
+            untouched_frame(source),
+            measured_rig(PRESSURE, source),
+        )
+    patch = ContactPipeline(preset, rig, untouched).process(frame)
+    assert not patch.pressure.agrees
+    assert "force and pressure disagree" in patch.doubt.reasons
+
+
 def test_what_hovers_is_no_contact(at_rest):
     with coarse(gap_mm=2.0) as source:
         found = [at_rest.process(source.read(number)) for number in range(10)]

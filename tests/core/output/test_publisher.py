@@ -29,6 +29,7 @@ FORCE = PressureFacts(
     1.0,
     False,
     True,
+    True,
 )
 TILT = Tilt(0, 0.0, 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_sigma_rad=0.05)
 
