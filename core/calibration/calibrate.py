@@ -206,6 +206,7 @@ def _quality(name: ModelName, fit: Fit, places: Float64Array, rigid: Fit | None)
         lateral = np.hypot(gap, np.sqrt(np.mean(sigma_mm**2)))
         along = 1e3 * (distance - clicked[:, 2] - rigid.alignment.offset_m)
     millimetres = np.hypot(*fit.residuals_px.T) * millimetres_per_pixel(points.tactile_depth_m, rig)
+    boundary_mm, tolerance = patch_effect(lateral, along, distance)
     return ModelQuality(
         model=name,
         fit=fit,
@@ -214,7 +215,8 @@ def _quality(name: ModelName, fit: Fit, places: Float64Array, rigid: Fit | None)
         alignment_px=float(np.sqrt(np.mean(sigma_px**2))),
         alignment_mm=float(np.sqrt(np.mean(sigma_mm**2))),
         alignment_bound_95_px=bound(sensitivity, fit.degrees),
-        effect=patch_effect(lateral, along, distance),
+        boundary_error_mm=boundary_mm,
+        supported_tolerance=tolerance,
         pairs=tuple(
             PairQuality(fit.model.names[i], bool(fit.used[i]), float(dx), float(dy), float(millimetres[i]))
             for i, (dx, dy) in enumerate(fit.residuals_px)

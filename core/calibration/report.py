@@ -90,19 +90,10 @@ def bound(derivative: Float64Array, degrees: int) -> float:
     return float(np.sqrt(mean * ratio))
 
 
-@dataclass(frozen=True)
-class PatchEffect:
-    """Effect of the alignment error on a contact patch.
-
-    Expected error of the patch's boundary, and the smallest tolerance t with which 95 % of the pixels in contact pass.
-    """
-
-    boundary_mm: float
-    supported_tolerance: float
-
-
-def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m: npt.ArrayLike) -> PatchEffect:
+def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m: npt.ArrayLike) -> tuple[float, float]:
     """Propagate alignment errors to the contact test ``|dp - dt| <= t dp``.
+
+    Return the error of a patch's boundary, mm, and the least t with which 95 % of the pixels in contact pass.
 
     A lateral error l reads the tactile depth beside the right place; on a membrane of slope m this changes dt by
     ``m l``. An error a along the line of sight changes dp by a. Both sensors add noise,
@@ -118,10 +109,8 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
     sensors = (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2) * 1e6
     variance = along**2 + (MEMBRANE_SLOPE * lateral) ** 2 / 2 + sensors
     relative = variance / (np.asarray(distance_m, np.float64) * 1e3) ** 2
-    return PatchEffect(
-        boundary_mm=float(np.sqrt(np.mean(lateral**2 + (along / TAKE_OFF_TANGENT) ** 2))),
-        supported_tolerance=float(_PASSING_SIGMAS * np.sqrt(relative.mean())),
-    )
+    boundary_mm = float(np.sqrt(np.mean(lateral**2 + (along / TAKE_OFF_TANGENT) ** 2)))
+    return boundary_mm, float(_PASSING_SIGMAS * np.sqrt(relative.mean()))
 
 
 ModelName = Literal["homography", "rigid"]
@@ -164,7 +153,8 @@ class ModelQuality:
     alignment_px: float
     alignment_mm: float
     alignment_bound_95_px: float
-    effect: PatchEffect
+    boundary_error_mm: float
+    supported_tolerance: float
     pairs: tuple[PairQuality, ...]
 
     @property
@@ -192,8 +182,8 @@ class ModelQuality:
             "cross_validated_px": self.agreement.cross_validated_px,
             "alignment_px": self.alignment_px,
             "alignment_bound_95_px": self.alignment_bound_95_px,
-            "boundary_error_mm": self.effect.boundary_mm,
-            "supported_tolerance": self.effect.supported_tolerance,
+            "boundary_error_mm": self.boundary_error_mm,
+            "supported_tolerance": self.supported_tolerance,
             "excluded": list(self.excluded),
         }
 
@@ -317,14 +307,14 @@ def grade(quality: ModelQuality) -> str:
     if quality.fit.degrees <= 0:
         used = sum(pair.used for pair in quality.pairs)
         return f"Unknown: a {quality.model} fits any {used} pairs, so their residuals mean nothing."
-    effect = quality.effect
-    good = quality.alignment_px <= GOOD_PX and effect.boundary_mm <= GOOD_MM
-    usable = quality.alignment_px <= USABLE_PX and effect.boundary_mm <= USABLE_MM
+    boundary_mm = quality.boundary_error_mm
+    good = quality.alignment_px <= GOOD_PX and boundary_mm <= GOOD_MM
+    usable = quality.alignment_px <= USABLE_PX and boundary_mm <= USABLE_MM
     word = "Good" if good else "Usable" if usable else "Poor"
     return (
         f"{word}: expected alignment error {quality.alignment_px:.2f} px ({quality.alignment_mm:.2f} mm), with 95 % "
         f"certainty below {quality.alignment_bound_95_px:.2f} px; patch boundary off by "
-        f"{effect.boundary_mm:.2f} mm; the tolerance test needs t = {100 * effect.supported_tolerance:.2f} % or more."
+        f"{boundary_mm:.2f} mm; the tolerance test needs t = {100 * quality.supported_tolerance:.2f} % or more."
     )
 
 
@@ -344,7 +334,7 @@ def next_step(quality: ModelQuality, depth_span_mm: float) -> str:
             f"Add points at another inflation level: all lie within {depth_span_mm:.0f} mm of depth, "
             f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
         )
-    if quality.model == "homography" and quality.effect.boundary_mm > GOOD_MM:
+    if quality.model == "homography" and quality.boundary_error_mm > GOOD_MM:
         step = "Check the tactile depths and take the rigid model: off its plane this homography is wrong."
     elif quality.alignment_px > GOOD_PX:
         wanted = min(int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2)), 60)

@@ -55,8 +55,8 @@ def test_points_that_span_depth_make_it_recommend_rigid(rig):
     plane, rigid = report.quality["homography"], report.quality["rigid"]
     assert rigid.agreement.cross_validated_px < 0.6 * plane.agreement.cross_validated_px
     assert plane.excluded == rigid.excluded == ()
-    assert plane.effect.supported_tolerance > 1.5 * rigid.effect.supported_tolerance
-    assert rigid.effect.boundary_mm < plane.effect.boundary_mm < 10  # 8 mm and less off its plane
+    assert plane.supported_tolerance > 1.5 * rigid.supported_tolerance
+    assert rigid.boundary_error_mm < plane.boundary_error_mm < 10  # 8 mm and less off its plane
 
 
 def test_wrong_depths_make_it_recommend_the_homography(rig, plane):
@@ -74,7 +74,7 @@ def test_a_homography_that_is_wrong_off_its_plane_is_not_good(rig):
     pairs = [pair_of(i, (u + 40.0, v), (u, v), depth[i]) for i, (u, v) in enumerate(tactile)]
     report = calibrate(pairs, rig, "homography")
     assert report.chosen.alignment_px < 0.1
-    assert report.chosen.effect.boundary_mm > 5
+    assert report.chosen.boundary_error_mm > 5
     assert not report.verdict.startswith("Good") and "nothing more is needed" not in report.verdict
 
 
@@ -150,10 +150,10 @@ def test_the_expected_error_is_the_one_that_happens(rig):
 
 def test_the_tolerance_follows_its_formula():
     sensors = 1e6 * (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2)
-    effect = patch_effect([2.0], [1.0], [0.25])
-    assert effect.supported_tolerance == pytest.approx(1.96 * np.sqrt(1 + 0.5 + sensors) / 250)
-    assert effect.boundary_mm == pytest.approx(np.sqrt(5))
-    assert patch_effect([0.0], [0.0], [0.3]).supported_tolerance == pytest.approx(1.96 * np.sqrt(sensors) / 300)
+    boundary_mm, tolerance = patch_effect([2.0], [1.0], [0.25])
+    assert tolerance == pytest.approx(1.96 * np.sqrt(1 + 0.5 + sensors) / 250)
+    assert boundary_mm == pytest.approx(np.sqrt(5))
+    assert patch_effect([0.0], [0.0], [0.3])[1] == pytest.approx(1.96 * np.sqrt(sensors) / 300)
 
 
 @pytest.mark.parametrize(
