@@ -112,9 +112,11 @@ class Gather(QWidget):
     @property
     def doing(self) -> str:
         """What to do while frames are taken; what happens, if nobody can do anything."""
-        if self.info is None or self.info.length is None:
-            return self.prompt
-        return "The simulator takes its object away" if self._simulated(self.info) else self.recorded
+        if self.info is not None and self._simulated(self.info):
+            return "The simulator takes its object away"
+        if self._job.busy and not self._preparing:
+            return "Computing"
+        return self.prompt if self.info is None or self.info.length is None else self.recorded
 
     def _simulated(self, info: SourceInfo) -> bool:
         return self.at_rest and info.name.startswith("sim:")
