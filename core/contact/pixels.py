@@ -143,7 +143,8 @@ class Pixels:
         if possible == 0:
             return NO_CANDIDATES
         color = self.color_test(frame)
-        rows = height if possible <= MAX_TILES_ALONE else ROWS  # all rows at once: on one thread
+        alone = possible <= MAX_TILES_ALONE or within is not None
+        rows = height if alone else ROWS  # all rows at once: on one thread
         out = kernels.CandidateArrays(workspace.pixels, workspace.points.reshape(-1), workspace.counts)
         in_parallel(partial(kernels.find_candidates, images, test, color, tiles, out), height, rows)
         return workspace.collect([slice(v * width, v * width + int(out.counts[v])) for v in range(0, height, rows)])

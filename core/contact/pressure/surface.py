@@ -14,7 +14,7 @@ import numpy as np
 from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.intrinsics import Intrinsics
-from ..kernels.quadric import solve_quadrics
+from ..kernels.quadric import bend_quadrics, solve_quadrics
 
 #: Side of a cell, pixels, and share of its pixels that must have depth.
 CELL_PX: Final = 8
@@ -22,6 +22,9 @@ _MIN_SHARE: Final = 0.5
 #: Smallest share of a window that must be seen for a curvature, and for a depth.
 _WINDOW_SHARE, _DEPTH_SHARE = 0.6, 0.3
 _POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+#: Powers of the moments of a window, and which of them the products of two of these have.
+_MOMENTS: Final = tuple((x, y) for x in range(5) for y in range(5 - x))
+_PLACES: Final = np.array([[_MOMENTS.index((a + c, b + d)) for c, d in _POWERS] for a, b in _POWERS])
 
 
 class Grid(NamedTuple):
@@ -96,14 +99,13 @@ def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool =
     def average(image: Float64Array, x: int, y: int) -> Float64Array:
         return np.asarray(cv2.sepFilter2D(image, cv2.CV_64F, powers[x], powers[y], borderType=cv2.BORDER_CONSTANT))
 
-    moments = {(x, y): average(share, x, y) for x in range(5) for y in range(5 - x)}
+    moments = np.stack([average(share, x, y) for x, y in _MOMENTS])
     weighted = share * depth_m
     right = np.stack([average(weighted, x, y) for x, y in _POWERS])
-    matrix = np.stack([np.stack([moments[a + c, b + d] for c, d in _POWERS]) for a, b in _POWERS])
-    seen = moments[0, 0]
+    seen = moments[0]
     found, growth = np.empty_like(right), np.empty_like(seen)
     usable = seen > (_WINDOW_SHARE if curved else _DEPTH_SHARE)
-    solve_quadrics(matrix, right, usable, np.empty((7, 6)), found, growth)
+    solve_quadrics(moments, _PLACES, right, usable, np.empty((7, 6)), found, growth)
     scale = np.array([1.0, sigma, sigma, sigma**2, sigma**2, sigma**2])[:, None, None]
     sums = [power.sum() for power in powers]
     whole = np.linalg.inv([[sums[a + c] * sums[b + d] for c, d in _POWERS] for a, b in _POWERS])
@@ -115,52 +117,48 @@ def curvature(shape: Shape, grid: Grid) -> tuple[Float64Array, Float64Array]:
 
     They are positive where the membrane bulges away from the camera.
     """
-    (du, dv), (z, zu, zv, zuu, zuv, zvv) = grid.side, shape.fit
-    zu, zv, zuu, zuv, zvv = zu / du, zv / dv, 2 * zuu / du**2, zuv / (du * dv), 2 * zvv / dv**2
-    x, y = grid.x, grid.y
-
-    def vector(a: Float64Array, b: Float64Array, c: Float64Array) -> Float64Array:
-        return np.stack([a, b, c])
-
-    p_u, p_v = vector(z + x * zu, y * zu, zu), vector(x * zv, z + y * zv, zv)
-    p_uu, p_vv = vector(2 * zu + x * zuu, y * zuu, zuu), vector(x * zvv, 2 * zv + y * zvv, zvv)
-    p_uv = vector(zv + x * zuv, zu + y * zuv, zuv)
-    e, f, g = (p_u * p_u).sum(0), (p_u * p_v).sum(0), (p_v * p_v).sum(0)
-    normal = np.cross(p_u, p_v, axis=0)
-    area = np.sqrt((normal**2).sum(0))
-    low, mid, high = (normal * p_uu).sum(0) / area, (normal * p_uv).sum(0) / area, (normal * p_vv).sum(0) / area
-    square = e * g - f * f
-    mean = -(e * high - 2 * f * mid + g * low) / square / 2
-    apart = np.sqrt(np.maximum(mean * mean - (low * high - mid * mid) / square, 0.0))
-    return np.asarray(2 * mean), np.asarray(mean + apart)
+    twice_mean, largest = np.empty_like(shape.share), np.empty_like(shape.share)
+    bend_quadrics(shape.fit, grid.x, grid.y, *grid.side, twice_mean, largest)
+    return twice_mean, largest
 
 
-def balance(points: Float64Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return what air and tension contribute to the force on the membrane where ``weight``, (H, W), is 1; each (3,).
+class Balance(NamedTuple):
+    """Integrals over the membrane around a contact; each is (3,)."""
+
+    air: Float64Array
+    pull: Float64Array
+    pressed: Float64Array
+
+
+def balance(points: Float64Array, weight: Float64Array, pressure: Float64Array) -> Balance:
+    """Return what air, tension and contact pressure sum up to on the membrane where ``weight``, (H, W), is 1.
 
     The contact force F in a region of weight w balances the air and the pull of the membrane around it:
-    F = - p int w n dA + T int grad(w) dA, where n points away from the camera. Returned are the first integral and the
-    second, over triangles between the points, (H, W, 3), of neighbouring cells. The weight must fall to 0 in the free
-    membrane, where the tension T is about constant. Only slopes enter, no curvature.
+    F = - p int w n dA + T int grad(w) dA, where n points away from the camera. Returned are the first integral, the
+    second, and int w q n dA for the contact pressure q, (H, W), over triangles between the points, (H, W, 3), of
+    neighbouring cells. The weight must fall to 0 in the free membrane, where the tension T is about constant. Only
+    slopes enter the first two, no curvature.
     """
     rows, columns = np.flatnonzero((weight > 0).any(axis=1)), np.flatnonzero((weight > 0).any(axis=0))
+    found = Balance(np.zeros(3), np.zeros(3), np.zeros(3))
     if not len(rows):
-        return np.zeros(3), np.zeros(3)
+        return found
     box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(columns[0] - 1, 0), columns[-1] + 2)
     p, w = points[box], weight[box]
-    air, pull = np.zeros(3), np.zeros(3)
+    load = w * pressure[box]
     for second, third in (((0, 1), (1, 1)), ((1, 1), (1, 0))):
         corners = [_corner(p, 0, 0), _corner(p, *second), _corner(p, *third)]
-        weights = [_corner(w, 0, 0), _corner(w, *second), _corner(w, *third)]
-        mean = (weights[0] + weights[1] + weights[2]) / 3
+        weights, loads = ([_corner(each, *place) for place in ((0, 0), second, third)] for each in (w, load))
+        mean = sum(weights[1:], weights[0]) / 3
         used = (mean > 0) & np.isfinite(corners[0] + corners[1] + corners[2]).all(axis=-1)
         a, b, c = (corner[used] for corner in corners)
         normal = np.cross(b - a, c - a)
-        air += (mean[used, None] * normal).sum(axis=0) / 2
+        found.air[:] += mean[used] @ normal / 2
+        found.pressed[:] += sum(loads[1:], loads[0])[used] @ normal / 6
         unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         sides = zip(weights, (c - b, a - c, b - a), strict=True)
-        pull += np.cross(unit, sum(each[used, None] * side for each, side in sides)).sum(axis=0) / 2
-    return air, pull
+        found.pull[:] += np.cross(unit, sum(each[used, None] * side for each, side in sides)).sum(axis=0) / 2
+    return found
 
 
 def _corner(image: Float64Array, row: int, column: int) -> Float64Array:

@@ -303,10 +303,8 @@ class _Now:
             free = (away > _MARGIN) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
             bulge = float(np.median(self.bulge_per_m[free])) if free.any() else math.nan
             bulge = bulge if bulge > 0 else math.nan  # where it is flat, nothing tells its tension
-            points = rest.grid.points(depth_m)
-            air, pull = surface.balance(points, weight)
-            force = pull / bulge - air
-            by_area = -surface.balance(points, weight * np.nan_to_num(self.relative))[0]
+            air, pull, pressed = surface.balance(rest.grid.points(depth_m), weight, np.nan_to_num(self.relative))
+            force, by_area = pull / bulge - air, -pressed
             # tension from a few independent windows, slopes along the loop, and the model
             windows = max(np.count_nonzero(free) / (4 * math.pi * rest.window**2), 1.0)
             loop_m = rest.cell_m * 2 * math.sqrt(math.pi * np.count_nonzero(weight > 0))

@@ -56,8 +56,9 @@ def test_a_sphere_has_its_curvature_and_carries_no_force():
     assert np.nanpercentile(steep, 95) == pytest.approx(2 / 0.12, rel=0.05), "where it slopes in both directions, too"
     rows, columns = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
     weight = np.clip((22 - np.hypot(rows - 28, columns - 42)) / 8, 0, 1)
-    air, pull = surface.balance(grid.points(depth_m), weight)
+    air, pull, pressed = surface.balance(grid.points(depth_m), weight, np.full_like(weight, 0.5))
     assert air[2] > 0.003
+    assert pressed == pytest.approx(air / 2)
     assert np.linalg.norm(air - pull * 0.2 / 2) < 0.01 * np.linalg.norm(air)
 
 
