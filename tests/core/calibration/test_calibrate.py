@@ -44,7 +44,7 @@ def test_many_pairs_take_seconds_also_where_they_contradict_each_other(rig):
     proximity[wrong] = rng.permutation(proximity[wrong])
     begun = time.process_time()
     report = calibrate([pair_of(i, proximity[i], uv, z) for i, (*uv, z) in enumerate(tactile)], rig)
-    assert time.process_time() - begun < 8
+    assert time.process_time() - begun < 40  # of the processor, however busy the machine is
     assert report.model == "rigid", report.reason
     assert abs(len(report.chosen.excluded) - wrong.sum()) < 60
 

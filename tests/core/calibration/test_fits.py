@@ -161,24 +161,6 @@ def test_mostly_wrong_pairs_are_never_silently_used(wrong_clicks, count, wrong):
     assert not (used & ~right).any()
 
 
-def test_two_wrong_of_eight_are_named_in_four_of_five_cases(rig):
-    places, true = judged_places(rig)
-    named, errors = 0, []
-    for seed in range(15):
-        points, rng = make_clicks(rig, 8, seed).noisy, np.random.default_rng(1000 + seed)
-        chosen = rng.choice(8, 2, replace=False)
-        angle, radius = rng.uniform(0, 2 * np.pi, 2), rng.uniform(10, 30, 2)
-        points.proximity[chosen] += np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-        try:
-            fit = fit_rigid(points, rig)
-        except CalibrationError:
-            continue
-        named += not fit.used[chosen].any()
-        errors.append(np.hypot(*(fit.predict(places) - true).T).mean())
-    assert named >= 12
-    assert np.median(errors) < 2.6
-
-
 @settings(max_examples=12, deadline=None)
 @given(offset_m=st.floats(-0.01, 0.01), seed=st.integers(0, 50))
 def test_an_offset_of_the_depth_is_recovered(rig, offset_m, seed):

@@ -67,17 +67,6 @@ def test_small_dents_and_holes_and_noise_are_no_contact():
     assert not len(ContactPipeline(DENT, rig, untouched).process(hidden).points)
 
 
-def test_steps_are_cached_and_a_change_of_the_limit_finds_more(pressed):
-    rig, frame, untouched = pressed
-    pipeline = ContactPipeline(DENT, rig, untouched)
-    first = pipeline.process(frame)
-    assert pipeline.process(frame).stage_ms == {"change": 0.0, "dent": 0.0, "clusters": 0.0}
-    pipeline.update(DENT.with_value("dent.limit_m", 0.001))
-    assert len(pipeline.process(frame).points) > len(first.points)
-    fresh = ContactPipeline(DENT, rig, untouched).process(frame)
-    assert np.array_equal(fresh.points, first.points)
-
-
 def test_the_true_contact_is_dented_and_what_hovers_is_not(pressed):
     rig, frame, untouched = pressed
     contact = frame.truth.contact

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.kernels import chain, compiling
+from tactune.core.contact.kernels import compiling
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import tile_grid
 from tactune.core.contact.kernels.simd import LANES
@@ -108,11 +108,6 @@ def test_every_colour_has_opencvs_hue_saturation_and_value():
         for channel, (floor, ceiling) in ((saturation, section.saturation), (value, section.value)):
             expected &= (floor <= channel) & (channel <= ceiling)
         assert np.array_equal(in_hsv_range(colors, section), expected)
-
-
-def test_kernels_do_not_use_fast_math():
-    options = [value.targetoptions for value in vars(chain).values() if hasattr(value, "targetoptions")]
-    assert options and not any(each.get("fastmath", False) for each in options)
 
 
 _PROGRAM = """

@@ -233,19 +233,3 @@ def test_points_are_one_array_that_later_frames_do_not_overwrite(make_rig, make_
     nearer = replace(frame, proximity_depth=frame.proximity_depth - 8, tactile_depth=frame.tactile_depth - 8)
     assert not np.array_equal(pipeline.process(nearer).points[:1000], before[:1000])
     assert np.array_equal(points, before)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("alignment.model", "homography"), ("alignment.depth_scale", 1.01), ("region.enabled", True)]
-)
-def test_a_value_that_is_changed_and_changed_back_before_the_next_frame_changes_nothing(
-    make_rig, make_frame, name, value
-):
-    rig = make_rig()
-    pipeline, frame, wider = ContactPipeline(PRESET, rig), make_frame(rig), PRESET.with_value("tolerance.t", 0.05)
-    before = pipeline.process(frame)
-    pipeline.update(PRESET.with_value(name, value))
-    pipeline.update(PRESET)
-    assert same_patch(pipeline.process(frame), before)
-    pipeline.update(wider)
-    assert same_patch(pipeline.process(frame), ContactPipeline(wider, rig).process(frame))

@@ -63,4 +63,4 @@ def test_a_large_json_is_checked_for_keys_that_stand_twice_in_one_pass():
     assert len(parse_json(text)) == 150_000
     with pytest.raises(ValueError, match="the key 'key 0' stands twice"):
         parse_json(text[:-1] + ', "key 0": 1}')
-    assert time.process_time() - begun < 5
+    assert time.process_time() - begun < 30  # a loop for each key would take hours
