@@ -91,7 +91,7 @@ class Judge:
             if pressure is not None:
                 more, doubts = _pressure_evidence(contact, pressure)
                 evidence, reasons = evidence + more, (*reasons, *doubts)
-                boundary_mm = 1e3 * _OF_WINDOW * pressure.window_m
+                boundary_mm = 1e3 * _OF_WINDOW * pressure.edge_m
             radii = 1e-3 * boundary_mm / math.sqrt(area_m2 / math.pi)
             if radii > _ERROR_SHARE:
                 odds -= min(_PER_RADIUS * (radii - _ERROR_SHARE), _MAX_EVIDENCE)

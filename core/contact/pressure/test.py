@@ -243,6 +243,7 @@ class _Now:
         self.grown, self.relative, scatter = _against_free(ratio, sigma)
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
         self._sigma = sigma * max(scatter, 1.0)
+        self._edge_window = rest.window
 
     def contact(self, section: PressureSection) -> BoolArray:
         """Return the cells in contact.
@@ -261,10 +262,12 @@ class _Now:
                 return np.asarray(pressed, np.bool_)
             flat = (self._flatness() > section.share) & (self._moved_m > 0)
         touching = _parts_with(flat, pressed)
+        self._edge_window = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
         count, labels = cv2.connectedComponents(pressed.view(np.uint8), connectivity=8)
         for number in range(1, count):
             own = labels == number
             if not (own & touching).any():
+                self._edge_window = self._rest.window
                 touching |= own & (self.relative >= _SMALL_SHARE * np.quantile(self.relative[own], _QUANTILE))
         return touching
 
@@ -324,6 +327,7 @@ class _Now:
             inflation_pa=section.gauge_pa,
             inflation_sigma_pa=section.gauge_sigma_pa,
             window_m=rest.window * rest.cell_m,
+            edge_m=self._edge_window * rest.cell_m,
             curvature_growth=self.grown,
             at_rim=at_rim,
             agrees=agrees,

@@ -26,6 +26,7 @@ FORCE = PressureFacts(
     1500.0,
     0.0,
     0.02,
+    0.01,
     1.0,
     False,
     True,
