@@ -186,8 +186,8 @@ def calibrate_force(
         Path,
         typer.Option(
             metavar="FILE",
-            help="A CSV file with the columns frame or time_s (since the first frame), and force_n: what a scale or a "
-            "force sensor read.",
+            help="A CSV file with the columns frame (as tactune run prints it) or time_s (since the first frame), and "
+            "force_n: what a scale or a force sensor read.",
         ),
     ],
     preset: PresetOption = None,

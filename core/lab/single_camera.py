@@ -85,9 +85,9 @@ def pressure(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
         patch, counts = pipeline.process(seen_alone(frame)), frame.tactile_depth
         found = patch.pressure
         assert found is not None
-        x, y, z = (turn @ found.force_mm2).tolist()
+        force, spread = turn @ found.force_mm2, np.sqrt(turn**2 @ np.square(found.force_sigma_mm2))
         points = view.points(patch.mask, counts)
-        turned = replace(found, force_mm2=(x, y, z))
+        turned = replace(found, force_mm2=tuple(force.tolist()), force_sigma_mm2=tuple(spread.tolist()))
         return rival_patch(frame, rig, points, lambda: view.pick(patch.mask, counts), turned)
 
     return find

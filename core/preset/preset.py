@@ -39,7 +39,9 @@ SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 SCHEMA_VERSION: Final[Literal[1]] = 1
 
 #: Fields on which no verdict depends.
-_UNJUDGED: Final = ("name", "notes", "created", "modified", "rig", "cameras", "untouched", "suggested", "verdict")
+_UNJUDGED: Final = dict.fromkeys(
+    ("name", "notes", "created", "modified", "rig", "cameras", "untouched", "suggested", "verdict"), True
+) | {"pressure": {"gauge_pa": True, "gauge_sigma_pa": True}}
 #: A message names at most this many bad fields.
 _MAX_ERRORS: Final = 9
 
@@ -129,7 +131,7 @@ class Preset(Section):
 
     def judged_values(self) -> Document:
         """Return the values on which a verdict depends."""
-        return self.model_dump(exclude=set(_UNJUDGED))
+        return self.model_dump(exclude=_UNJUDGED)
 
     def value(self, path: str) -> Any:
         """Return the field at a dotted path, such as ``"tolerance.t"``."""

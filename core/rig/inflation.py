@@ -38,8 +38,7 @@ class Press(NamedTuple):
         facts = patch.pressure
         if facts is None:
             raise CalibrationError(
-                "no contact pressure was computed; set the contact test to pressure (contact.test), which needs an "
-                "untouched frame"
+                "no contact pressure was computed; set the contact test to pressure, which needs an untouched frame"
             )
         if not force_n > 0 or not math.isfinite(force_n):
             raise CalibrationError(f"the force is {force_n:g} N; give what the scale reads while the object presses")

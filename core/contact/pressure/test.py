@@ -316,7 +316,8 @@ class _Now:
             by_tension = np.abs(pull) / bulge * rest.sigma_per_m / bulge / math.sqrt(windows)
             by_model = _MODEL_SHARE * float(np.linalg.norm(force)) * (2.0 if at_rim else 1.0)
             sigma = np.sqrt(by_slopes**2 + by_tension**2 + by_model**2)
-            agrees = bool(np.linalg.norm(force - by_area) < _APART_SIGMAS * np.linalg.norm(sigma))
+            # a force that is not known disagrees with nothing
+            agrees = not np.linalg.norm(force - by_area) >= _APART_SIGMAS * np.linalg.norm(sigma)
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
         usual = self._sigma[np.isfinite(self._sigma)]
         return PressureFacts(

@@ -203,8 +203,8 @@ def suggest_all(
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
     sections : collection of str, optional
-        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"`` and ``"dent"``; default:
-        all that the contact test reads, which may itself be proposed.
+        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"``, ``"dent"`` and
+        ``"pressure"``; default: all that the contact test reads, which may itself be proposed.
 
     Returns
     -------

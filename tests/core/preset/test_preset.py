@@ -82,6 +82,7 @@ def test_a_verdict_goes_with_the_values_that_it_was_about(make_rig):
         preset.with_values({"name": "mine", "rig": make_rig().model_dump(), "tolerance.t": preset.tolerance.t}).verdict
         is not None
     )
+    assert preset.with_value("pressure.gauge_pa", 1500.0).verdict is not None, "newtons do not move the boundary"
     assert preset.with_value("membrane.gap_m", 0.0007).verdict is None
 
 
