@@ -182,7 +182,7 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
-_APART = 0.8
+_APART = 0.75
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
@@ -233,7 +233,7 @@ class SoftwareRenderer:
             return self._buffer
         step = self._step
         if self._rays_of is not cloud.rays or self._look != look:
-            self._look, step = look, _largest_step(cloud, look) if look.running else 1
+            self._look, step = look, _running_step(cloud, look) if look.running else 1
         if self._rays_of is not cloud.rays or self._step != step:
             self._rays_of, self._step = cloud.rays, step
             self._rays = np.ascontiguousarray(np.moveaxis(cloud.rays[::step, ::step], 2, 0))
@@ -257,8 +257,8 @@ class SoftwareRenderer:
         return self._buffer
 
 
-def _largest_step(cloud: DepthCloud, look: Look) -> int:
-    """Return the step in rows and columns at which points overlap in the middle, at the far end of the colours."""
+def _running_step(cloud: DepthCloud, look: Look) -> int:
+    """Return 2 if every other row and column overlap in the middle, at the far end of the colours; more leave holes."""
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
         return 1
@@ -266,8 +266,8 @@ def _largest_step(cloud: DepthCloud, look: Look) -> int:
     rays = np.array([(*cloud.rays[v + down, u + right], 1.0) for down, right in ((0, 0), (0, 1), (1, 0))])
     places = cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3]
     seen = look.camera.project(places, *look.size)
-    apart = np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()
-    return max(1, int(_APART * look.point_size / apart)) if (seen[:, 2] > 0).all() and apart > 0 else 1
+    apart = 2.0 * np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()
+    return 2 if (seen[:, 2] > 0).all() and apart <= _APART * look.point_size else 1
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
