@@ -7,6 +7,7 @@ from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
 from contrast import contrast_ratio
+from tactune.widgets.basics.controls import NoteLabel
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
 
@@ -68,3 +69,17 @@ def test_a_ring_shows_where_the_keyboard_acts(qapp, qtbot, name):
     qtbot.keyClick(two, Qt.Key.Key_Backtab)
     qtbot.waitUntil(lambda: edges() == {colors.window})
     apply_theme(qapp, "light")
+
+
+def test_a_note_is_in_the_colour_of_errors_for_errors_only(qapp, qtbot):
+    apply_theme(qapp, "light")
+    note = NoteLabel()
+    qtbot.addWidget(note)
+    usual = note.palette().color(QPalette.ColorRole.WindowText).name()
+    note.say("No press stands out of the noise.", error=True)
+    for name in ("dark", "light"):
+        apply_theme(qapp, name)
+        qapp.processEvents()
+        assert note.palette().color(QPalette.ColorRole.WindowText).name() == theme_colors(name).error
+    note.say("Applied.")
+    assert note.palette().color(QPalette.ColorRole.WindowText).name() == usual

@@ -151,12 +151,12 @@ class TintedLabel(QLabel):
         self.tint(color)
 
     def tint(self, color: str) -> None:
-        if color or self._color:
+        before, self._color = self._color, color  # first: a change of the palette tints again
+        if color or before:
             palette = QPalette()
             if color:
                 palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), color)))
             self.setPalette(palette)
-        self._color = color
 
     def changeEvent(self, event: QEvent | None) -> None:
         super().changeEvent(event)
