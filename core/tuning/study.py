@@ -30,6 +30,8 @@ except ImportError as missing:
 _FRAMES_A_BATCH, _TRIALS_A_BATCH = 500, 4
 #: Interval of looks at workers, seconds.
 _LOOK_S: Final = 0.5
+#: A lock is held for milliseconds: one that has not changed for so long is that of a process that was killed, seconds.
+_DEAD_S: Final = 5
 #: In the notes of each preset that a search has written.
 FOUND_BY: Final = "found by tactune tune"
 #: How each line of Optuna's journal begins.
@@ -120,7 +122,7 @@ class Study:
                 yield done
 
     def _open(self) -> optuna.Study:
-        lock = JournalFileOpenLock(str(self.path))
+        lock = JournalFileOpenLock(str(self.path), grace_period=_DEAD_S)
         with self.path.open("a+b") as file:  # a line that was cut off by a crash would spoil the next one
             file.seek(0)
             data = file.read()
