@@ -12,6 +12,7 @@ from .contact.kernels.chain import classify_rows, find_candidates
 from .contact.kernels.colors import color_lookup
 from .contact.kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
 from .contact.kernels.membrane import add_to_means, collect_points, find_differences
+from .contact.kernels.quadric import bend_quadrics, solve_quadrics
 from .contact.masking import in_hsv_range
 from .contact.outliers.point_search import search_all
 from .contact.outliers.row_search import search_rows
@@ -26,15 +27,15 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, those of the mask in the untouched frame included; of the average.
-_KERNELS: Final = {"tolerance": 12, "membrane": 15, "dent": 5, "pressure": 7}
+_KERNELS: Final = {"tolerance": 12, "membrane": 15, "pressure": 7}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
 _LARGEST: Final[dict[str, tuple[Any, ...]]] = {
     "tolerance": (find_candidates, search_all),
     "membrane": (find_differences, collect_points),
-    "dent": (find_candidates,),
+    "pressure": (solve_quadrics, bend_quadrics),
 }
-_ALL: Final = (*_LARGEST["tolerance"], *_LARGEST["membrane"], search_rows, add_to_means, classify_rows, color_lookup)
+_ALL: Final = (*sum(_LARGEST.values(), ()), search_rows, add_to_means, classify_rows, color_lookup)
 
 
 def is_compiled(preset: Preset | None = None) -> bool:
@@ -82,7 +83,7 @@ def warm_up_views(test: str) -> None:
 
 def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     """Run every kernel once, on artificial frames; return how many were compiled, and where they are cached."""
-    for number, preset in enumerate((_preset("tolerance"), _preset("membrane", 2), _preset("dent"))):
+    for number, preset in enumerate((_preset("tolerance"), _preset("membrane", 2), _preset("pressure"))):
         warm_up_test(preset, lambda share, words, number=number: progress((number + share) / 4, words))  # type: ignore[misc]
     warm_up_views("membrane")
     progress(1.0, "All contact tests are compiled")
@@ -111,7 +112,7 @@ def _rig() -> Rig:
 def _frame(test: str) -> SensorFrame:
     """Return a frame in which a contact test finds contact, by every kernel that it has."""
     color = np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8)
-    if test != "membrane":  # a surface with a smooth and a ragged half, and a lone point
+    if test not in ("membrane", "pressure"):  # a surface with a smooth and a ragged half, and a lone point
         depth = np.full((_HEIGHT, _WIDTH), 3000, np.uint16)
         depth[:, 40:] += np.random.default_rng(0).integers(0, 300, (_HEIGHT, _WIDTH - 40)).astype(np.uint16)
         depth[:, 60:] = 0

@@ -46,7 +46,7 @@ def suggest(
         list[str] | None,
         typer.Option(
             metavar="SECTION",
-            help="mask, contact_test, alignment, tolerance, outliers, dent or pressure; may be repeated. Default: all "
+            help="mask, contact_test, alignment, tolerance, outliers or pressure; may be repeated. Default: all "
             "that the contact test reads.",
         ),
     ] = None,

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Final
 
 from .contact_test import ContactTest
-from .dent import DentTest
 from .membrane.test import MembraneTest
 from .pressure.test import PressureTest
 from .tolerance import ToleranceTest
@@ -17,6 +16,5 @@ from .tolerance import ToleranceTest
 CONTACT_TESTS: Final[dict[str, type[ContactTest]]] = {
     "membrane": MembraneTest,
     "tolerance": ToleranceTest,
-    "dent": DentTest,
     "pressure": PressureTest,
 }

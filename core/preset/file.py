@@ -18,7 +18,7 @@ from ..model.loading import MAX_JSON_BYTES, parse_json, read_file
 from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, now, parse_preset
 
 #: Fields that earlier versions wrote and this one does not know. A preset with one loads, and a note names it.
-GONE: Final = ("noise.slow_m",)
+GONE: Final = ("noise.slow_m", "dent")
 #: Fields without a date of change in the notes, and how a note of a search begins.
 _UNDATED: Final = ("name", "notes", "created", "modified", "rig", "cameras", "suggested", "verdict")
 _SEARCHED: Final = "Trial "
@@ -97,6 +97,9 @@ def preset_and_note(text: str, origin: str) -> tuple[Preset, str]:
             f"update Tactune (the file was written by version {document.get('tool_version', 'unknown')})"
         )
     gone = [path for path in GONE if _taken_out(document, path)]
+    if document.get("contact_test") == "dent":  # which pressure has replaced
+        document["contact_test"] = "pressure"
+        gone.append("contact_test dent (pressure is used)")
     note = f"{', '.join(gone)} of an earlier Tactune: no longer used" if gone else ""
     return parse_preset(document, origin), note
 

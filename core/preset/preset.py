@@ -14,7 +14,6 @@ from pydantic import Field, ValidationError
 
 from ..contact import CONTACT_TESTS
 from ..contact.contact_test import ContactTest
-from ..contact.dent import DentSection
 from ..contact.membrane.section import MembraneSection
 from ..contact.pressure.section import PressureSection
 from ..contact.tolerance import OutlierSection, ToleranceSection
@@ -65,7 +64,7 @@ class Preset(Section):
     rig: Rig | None = None
     alignment: AlignmentSection = AlignmentSection()
     contact_test: Annotated[
-        Literal["membrane", "tolerance", "dent", "pressure"],
+        Literal["membrane", "tolerance", "pressure"],
         described("Contact test", " ".join(f"{test.name}: {test.summary}" for test in CONTACT_TESTS.values())),
     ] = "membrane"
     mask: MaskSection = MaskSection(enabled=False)
@@ -73,7 +72,6 @@ class Preset(Section):
     membrane: MembraneSection = MembraneSection()
     tolerance: ToleranceSection = ToleranceSection()
     outliers: OutlierSection = OutlierSection()
-    dent: DentSection = DentSection()
     pressure: PressureSection = PressureSection()
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()

@@ -1,36 +1,30 @@
 """A rig with a tactile camera only in the window: what it shows, what it leaves out, and how contact is found."""
 
-import numpy as np
+from dataclasses import replace
+
 import pytest
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
-from fakes import FakeSource, tiny_rig
+from fakes import FakeSource
 from hands import LEFT, show_source
 from tactune.app.worker.results import CloudName
-from tactune.core.model.frames import Rig, SensorFrame, Shot
-
-DENT_M = 0.012
-
-
-def dented(index, rig):
-    """A flat membrane at 250 mm; from frame 1 on a disc is pressed towards the camera."""
-    height, width = rig.tactile.intrinsics.shape
-    v, u = np.mgrid[:height, :width]
-    pressed = (np.hypot(u - width / 2, v - height / 2) < 12) & (index > 0)
-    counts = np.rint(np.where(pressed, 0.25 - DENT_M, 0.25) / rig.tactile.depth_unit_m).astype(np.uint16)
-    color = np.full((height, width, 3), 90, np.uint8)
-    return SensorFrame.of_shots(rig, index, None, Shot(counts, color, index / 30))
+from tactune.core import open_source
+from tactune.core.rig.untouched import untouched_frame
 
 
-def one_camera(**options):
-    rig = Rig.of_one_camera(tiny_rig().tactile)
-    return FakeSource(rig=rig, make=dented, name="bubble", **options)
+@pytest.fixture(scope="module")
+def bubble():
+    """The rig, the untouched frame, and a press."""
+    with open_source("sim:cup?press=medium&cameras=tactile") as source:
+        return source.rig, untouched_frame(source), source.next_frame()
 
 
 @pytest.fixture
-def untouched_source():
-    return one_camera(untouched=dented(0, Rig.of_one_camera(tiny_rig().tactile)))
+def untouched_source(bubble):
+    rig, untouched, frame = bubble
+    frames = [untouched, *(replace(frame, sequence=number) for number in (1, 2, 3))]
+    return FakeSource(rig=rig, frames=frames, name="bubble", untouched=untouched)
 
 
 def press(qtbot, widget, text):
@@ -47,14 +41,13 @@ def patch_view(window):
     return window.views.views[CloudName.PATCH]
 
 
-def test_the_button_in_the_empty_view_chooses_dent_and_one_undo_takes_it_back(window, qtbot, untouched_source):
+def test_the_button_in_the_empty_view_chooses_pressure_and_one_undo_takes_it_back(window, qtbot, untouched_source):
     show_source(qtbot, window, untouched_source, 3)
     qtbot.waitUntil(lambda: "tactile camera only" in patch_view(window).message())
-    press(qtbot, patch_view(window), "Use the dent test")
+    press(qtbot, patch_view(window), "Use the pressure test")
     qtbot.waitUntil(lambda: window.result.patch is not None and len(window.result.patch.points) > 0)
-    assert window.document.preset.contact_test == "dent"
-    nearer = np.isclose(window.result.patch.points[:, 2], 0.25 - DENT_M, atol=2e-4)
-    assert nearer.mean() > 0.8  # the average over neighbours blurs the edge of the disc
+    assert window.document.preset.contact_test == "pressure"
+    assert window.result.patch.pressure.force_mm2[2] < -1000
     assert window.messages.message("problem") is None
     window.worker.seek(0)
     qtbot.waitUntil(lambda: window.result.frame.sequence == 0 and len(window.result.patch.points) == 0)
@@ -94,9 +87,9 @@ def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbo
     assert views[CloudName.TACTILE].isVisible()
     assert not actions.show_proximity.isEnabled()
     assert not actions.calibrate.isEnabled()
-    press(qtbot, patch_view(window), "Use the dent test")
-    assert window.document.preset.contact_test == "dent"
-    qtbot.waitUntil(lambda: window.result.preset.contact_test == "dent" and "untouched" in window.result.problem)
+    press(qtbot, patch_view(window), "Use the pressure test")
+    assert window.document.preset.contact_test == "pressure"
+    qtbot.waitUntil(lambda: window.result.preset.contact_test == "pressure" and "untouched" in window.result.problem)
     press(qtbot, patch_view(window), "Capture untouched frame")
     capture = window.set_up.untouched.work
     qtbot.waitUntil(capture.start.isVisible)

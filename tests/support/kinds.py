@@ -109,11 +109,10 @@ def fresh(folder: Path, suffix: str = "") -> Path:
 
 def play(path: Path) -> None:
     with open_source(str(path)) as source:
-        alone = PRESET.with_value("contact_test", "dent")
         pipeline = ContactPipeline(PRESET, source.rig) if source.rig.has_proximity else None
         for frame in source:
-            pipeline = pipeline or ContactPipeline(alone, source.rig, frame)
-            pipeline.process(frame)
+            if pipeline is not None:
+                pipeline.process(frame)
 
 
 def play_all(folder: Path) -> None:

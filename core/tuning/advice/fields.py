@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from ...contact.dent import noise_limit_m
 from ...contact.pipeline import ContactPipeline
 from ...contact.pressure.test import PRESSURE_SIGMAS
 from ...errors import AdviceError
 from ...sources.base import Progress
 from .proposal import Evidence, Proposal
 
-_NAMES: Final = {"tolerance.t": "tolerance t", "dent.limit_m": "smallest dent", "pressure.limit": "pressure limit"}
+_NAMES: Final = {"tolerance.t": "tolerance t", "pressure.limit": "pressure limit"}
 #: t covers this number of standard deviations of the noise of both depths: 95 % of the pixels.
 _T_SIGMAS: Final = 2.0
 
@@ -31,21 +30,6 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
         f"The difference of both depths has a noise of {1e3 * sigma_m:.1f} mm at {1e3 * distance_m:.0f} mm distance; t "
         f"covers {_T_SIGMAS:g} standard deviations.",
         "Nearly all contact passes, and no larger gap than noise requires.",
-    )
-
-
-def suggest_dent(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the smallest dent that the measured noise allows, rounded up to 0.1 mm."""
-    noise = evidence.preset.noise
-    if noise is None:
-        raise AdviceError("dent: the noise of the camera tells the smallest dent; measure it (F6)")
-    limit_m = noise_limit_m(noise)
-    return _proposal(
-        evidence,
-        "dent.limit_m",
-        max(math.ceil(1e4 * limit_m), 1) / 1e4,
-        f"Noise explains movements up to {1e3 * limit_m:.1f} mm of a membrane at rest.",
-        "Nothing but noise is left out.",
     )
 
 
@@ -75,5 +59,4 @@ def _proposal(evidence: Evidence, path: str, value: float, sentence: str, expect
     section, name = path.partition(".")[0], _NAMES[path]
     if value == evidence.preset.value(path):
         return Proposal(section, {}, f"Keep {name}", sentence, expected)
-    shown = f"{1e3 * value:g} mm" if path.endswith("_m") else f"{100 * value:g} %"
-    return Proposal(section, {path: value}, f"{name[:1].upper()}{name[1:]} {shown}", sentence, expected)
+    return Proposal(section, {path: value}, f"{name[:1].upper()}{name[1:]} {100 * value:g} %", sentence, expected)

@@ -51,7 +51,6 @@ _FIT: Final = (0.5, 3.0)
 _SMALLEST: Final = {
     "membrane": ("membrane.min_area_mm2", "Smallest contact"),
     "tolerance": ("outliers.min_cluster_area_mm2", "Smallest cluster"),
-    "dent": ("dent.min_area_mm2", "Smallest area"),
     "pressure": ("pressure.min_area_mm2", "Smallest patch"),
 }
 
@@ -82,8 +81,8 @@ def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Fi
     """The contact test compares with a camera or a frame that is not there, so there is no patch."""
     if preset.test.needs_proximity and not rig.has_proximity:
         sentence = f"The contact test {preset.contact_test} compares two cameras; this rig has a tactile camera only."
-        expected = "Contact is where the membrane has moved since the untouched frame."
-        proposal = Proposal("contact_test", {"contact_test": "dent"}, "Use the dent test", sentence, expected)
+        expected = "Contact is where the membrane is flatter than in the untouched frame."
+        proposal = Proposal("contact_test", {"contact_test": "pressure"}, "Use the pressure test", sentence, expected)
         return Finding("one_camera", "contact_test", sentence, proposal, explains_empty=True)
     if preset.test.needs_untouched and untouched is None:
         sentence = (

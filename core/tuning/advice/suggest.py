@@ -19,7 +19,7 @@ from ...model.clouds import valid_depth
 from ...preset import CONTACT_TESTS, Preset
 from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress, part_of
-from .fields import suggest_dent, suggest_pressure, suggest_tolerance
+from .fields import suggest_pressure, suggest_tolerance
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -30,14 +30,14 @@ _CERTAIN, _SMALLEST_M = 3.0, 0.0005
 
 
 def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the membrane test where an inflated membrane is seen, else the tolerance test; dent for one camera."""
+    """Propose membrane where an inflated membrane is seen, else tolerance; pressure for one camera."""
     preset, rig, frame = evidence.preset, evidence.rig, evidence.untouched or evidence.frame
     if not rig.has_proximity:
         return _propose_test(
             preset,
-            "dent",
+            "pressure",
             "The other contact tests compare two cameras, and this rig has one.",
-            "Contact is where the membrane has moved since the untouched frame.",
+            "Contact is where the membrane is flatter than in the untouched frame.",
         )
     if preset.alignment.model != "rigid":
         raise AdviceError(
@@ -170,7 +170,6 @@ _SUGGEST: Final[dict[str, Callable[[Evidence, Progress], Proposal]]] = {
     "contact_test": suggest_contact_test,
     "alignment": suggest_alignment,
     "tolerance": suggest_tolerance,
-    "dent": suggest_dent,
     "pressure": suggest_pressure,
 }
 #: Sections that a rig with one camera does not need.
@@ -203,8 +202,8 @@ def suggest_all(
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
     sections : collection of str, optional
-        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"``, ``"dent"`` and
-        ``"pressure"``; default: all that the contact test reads, which may itself be proposed.
+        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"`` and ``"pressure"``; default:
+        all that the contact test reads, which may itself be proposed.
 
     Returns
     -------

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.core import ContactPipeline, Preset, open_source
+from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.contact.pressure import surface
 from tactune.core.errors import RigMismatchError
 from tactune.core.lab.single_camera import tactile_only
@@ -15,7 +15,9 @@ from tactune.core.lab.table import measured_rig
 from tactune.core.model.frames import Rig, SensorFrame, Shot
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.model.patch import Provenance
+from tactune.core.output.writer import export_mcap
 from tactune.core.rig.untouched import untouched_frame
+from tactune.core.sources.folder import export_folder
 from tactune.core.sources.simulator.objects import OBJECTS
 from tactune.core.sources.simulator.scene import simulator_rig
 from tactune.core.sources.simulator.scenes import MEMBRANES, Variant
@@ -266,3 +268,26 @@ def test_an_untouched_membrane_that_is_flat_is_refused():
     flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full_like(bubble.tactile_depth, 3000), None, 0.0))
     with pytest.raises(RigMismatchError, match="flat"):
         ContactPipeline(PRESSURE, rig, flat).process(bubble)
+
+
+@pytest.mark.parametrize("kind", ["folder", "recording"])
+def test_a_recording_of_one_camera_gives_the_same_patch(pressed, tmp_path, kind):
+    rig, preset, frame, untouched = pressed
+    with open_source("sim:cup?press=medium&cameras=tactile") as source:
+        write = export_folder if kind == "folder" else export_mcap
+        path = tmp_path / ("take" if kind == "folder" else "take.mcap")
+        write(source, path, 2)
+    with open_source(str(path)) as stored:
+        assert stored.rig == rig and not stored.rig.has_proximity and stored.health().ok
+        read = stored.next_frame()
+    assert "proximity" not in {image.stem.partition("_")[0] for image in tmp_path.rglob("*.png")}
+    ours, theirs = (ContactPipeline(preset, rig, untouched).process(each).points for each in (frame, read))
+    assert np.array_equal(ours, theirs)
+
+
+def test_what_needs_two_cameras_or_an_untouched_frame_says_so(pressed):
+    rig, preset, frame, _ = pressed
+    with pytest.raises(RigMismatchError, match="tactile camera only; choose the contact test pressure"):
+        ContactPipeline(load_preset("default"), rig)
+    with pytest.raises(RigMismatchError, match="untouched frame"):
+        ContactPipeline(preset, rig).process(frame)

@@ -166,6 +166,13 @@ def test_a_preset_with_a_field_that_is_gone_says_which_and_loads(tmp_path, monke
     assert preset_and_note(preset_json(preset), "new.json") == (preset, "")
 
 
+def test_a_preset_of_the_dent_test_uses_the_pressure_test_and_says_so():
+    document = json.loads(preset_json(Preset())) | {"contact_test": "dent", "dent": {"limit_m": 0.002}}
+    read, note = preset_and_note(json.dumps(document), "old.json")
+    assert read.contact_test == "pressure"
+    assert "dent" in note and "pressure" in note
+
+
 def test_only_ordinary_files_are_replaced_and_a_link_stays_one(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for place in (tmp_path / "pipe", tmp_path, Path("/")):

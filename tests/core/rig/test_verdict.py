@@ -34,8 +34,8 @@ def test_a_badly_measured_bias_is_the_weakest_link(press):
     assert "bias" in unsure.sentence and f"{unsure.error_mm:.1f} mm" in unsure.sentence
 
 
-@pytest.mark.parametrize("test", ["tolerance", "dent"])
-def test_tests_without_a_bound_of_their_own_are_judged_by_the_noise(press, test):
+@pytest.mark.parametrize("test", ["tolerance", "pressure"])
+def test_tests_that_know_no_bias_are_judged_by_the_noise(press, test):
     assert 0.1 < judged(press, test, 0.0002).links_mm["noise"] < 10
 
 
