@@ -120,7 +120,7 @@ def _frame(test: str) -> SensorFrame:
         return SensorFrame(0, depth, depth.copy(), color)
     # a bulging membrane that is a little flattened where an object touches its centre
     v, u = np.mgrid[:_HEIGHT, :_WIDTH] - np.array([_HEIGHT, _WIDTH])[:, None, None] / 2
-    square = np.maximum(u * u + v * v, 400.0)
-    membrane = 3000 - square / 16
+    square = u * u + v * v if test == "pressure" else np.maximum(u * u + v * v, 400.0)
+    membrane = 3000 - square / (4 if test == "pressure" else 16)
     behind = np.where(square < 500, membrane, membrane + 2000)
     return SensorFrame(1, behind.astype(np.uint16), membrane.astype(np.uint16), color)
