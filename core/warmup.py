@@ -74,7 +74,7 @@ def warm_up_test(preset: Preset, progress: Progress) -> None:
 
 def warm_up_views(test: str) -> None:
     """Compile what the window reads of a frame, and of its patch by a contact test beside the points."""
-    rig, frame, preset = _rig(), _frame(test), _preset(test)
+    rig, frame, preset = _rig(test), _frame(test), _preset(test)
     patch = _pipeline(preset).process(frame)
     _ = patch.provenance, patch.aligned
     colors_at(patch.points, np.flatnonzero(patch.mask), frame.proximity_color, rig)
@@ -93,7 +93,9 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
 def _pipeline(preset: Preset) -> ContactPipeline:
     """Return a pipeline in whose untouched frame the membrane is farther away."""
     frame = _frame(preset.contact_test)
-    return ContactPipeline(preset, _rig(), replace(frame, tactile_depth=frame.tactile_depth + np.uint16(300)))
+    return ContactPipeline(
+        preset, _rig(preset.contact_test), replace(frame, tactile_depth=frame.tactile_depth + np.uint16(300))
+    )
 
 
 def _preset(test: str, frames: int = 1) -> Preset:
@@ -102,8 +104,14 @@ def _preset(test: str, frames: int = 1) -> Preset:
     return Preset(contact_test=test).with_values(values | {"membrane.frames": frames})
 
 
-def _rig() -> Rig:
-    lens = Intrinsics(width=_WIDTH, height=_HEIGHT, fx=70.0, fy=70.0, cx=47.5, cy=31.5)
+def _size(test: str) -> tuple[int, int]:
+    """Return height and width of the artificial images; the pressure test reads cells of many pixels."""
+    return (2 * _HEIGHT, 2 * _WIDTH) if test == "pressure" else (_HEIGHT, _WIDTH)
+
+
+def _rig(test: str) -> Rig:
+    height, width = _size(test)
+    lens = Intrinsics(width=width, height=height, fx=0.73 * width, fy=0.73 * width, cx=width / 2, cy=height / 2)
     camera, pose = DepthCamera(intrinsics=lens, depth_unit_m=0.0001), np.eye(4).tolist()
     color = ColorCamera(intrinsics=lens, T_color_depth=pose)
     return Rig(proximity=camera, tactile=camera, proximity_color=color, T_proximity_tactile=pose)
@@ -111,16 +119,17 @@ def _rig() -> Rig:
 
 def _frame(test: str) -> SensorFrame:
     """Return a frame in which a contact test finds contact, by every kernel that it has."""
-    color = np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8)
-    if test not in ("membrane", "pressure"):  # a surface with a smooth and a ragged half, and a lone point
-        depth = np.full((_HEIGHT, _WIDTH), 3000, np.uint16)
-        depth[:, 40:] += np.random.default_rng(0).integers(0, 300, (_HEIGHT, _WIDTH - 40)).astype(np.uint16)
+    height, width = _size(test)
+    color = np.full((height, width, 3), 128, np.uint8)
+    if test == "tolerance":  # a surface with a smooth and a ragged half, and a lone point
+        depth = np.full((height, width), 3000, np.uint16)
+        depth[:, 40:] += np.random.default_rng(0).integers(0, 300, (height, width - 40)).astype(np.uint16)
         depth[:, 60:] = 0
         depth[0, -1] = 9000
         return SensorFrame(0, depth, depth.copy(), color)
     # a bulging membrane that is a little flattened where an object touches its centre
-    v, u = np.mgrid[:_HEIGHT, :_WIDTH] - np.array([_HEIGHT, _WIDTH])[:, None, None] / 2
-    square = u * u + v * v if test == "pressure" else np.maximum(u * u + v * v, 400.0)
-    membrane = 3000 - square / (4 if test == "pressure" else 16)
+    v, u = np.mgrid[:height, :width] - np.array([height, width])[:, None, None] / 2
+    square = np.maximum(u * u + v * v, 400.0)
+    membrane = 3000 - square / 16
     behind = np.where(square < 500, membrane, membrane + 2000)
     return SensorFrame(1, behind.astype(np.uint16), membrane.astype(np.uint16), color)
