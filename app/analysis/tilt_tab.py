@@ -9,13 +9,13 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QCheckBox, QLabel, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from ...core.errors import minus
-from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltFilter
+from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
-from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
+from ...widgets.basics.layouts import splitter, vbox
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
@@ -33,28 +33,24 @@ _LINES, _ON_LINE, _NORMAL_M = 9, 160, 0.03
 #: The newest frames that the plot shows.
 _PLOTTED: Final = 1800
 _ANGLES: Final = [f"{angle}{sigma}_rad" for angle in ("roll", "pitch", "axis") for sigma in ("", "_sigma")]
-_RATES: Final = [f"{angle}_rate{sigma}_rad_s" for angle in ("roll", "pitch") for sigma in ("", "_sigma")]
 
 
 class TiltTab(LiveTab):
-    """Estimates the tilt of each frame that the main window shows, alone and filtered over time."""
+    """Estimates the tilt of each frame that the main window shows."""
 
     COLUMNS = (
         *("frame", "time_s", "points"),
         *(name.replace("rad", "deg") for name in _ANGLES),
-        *(f"filtered_{name.replace('rad', 'deg')}" for name in (*_ANGLES[:4], *_RATES)),
     )
     EXPORT = "tilt"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._filter = TiltFilter()
         #: The tilt on the screen; None before the first frame with a patch.
         self.tilt: Tilt | None = None
-        self._newest: tuple[Result, Tilt, Tilt] | None = None
+        self._newest: tuple[Result, Tilt] | None = None
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch, self.axis = QLabel(), QLabel(), QLabel()
-        self.filtered = QCheckBox("&Filtered")
         self.plot = Plot("Time, s", "Angle, degrees", movable=True)
         self.plot.setToolTip(
             "Roll and pitch over the time stamps of the frames, with a band of one standard deviation. "
@@ -67,7 +63,6 @@ class TiltTab(LiveTab):
         self.plot.follow_theme()
         self._lay_out()
         self.cloud.set_message(self.status.text())
-        self.filtered.toggled.connect(self._filtered_changed)
 
     def _curve(self, name: str, rgb: tuple[int, int, int]) -> tuple[pg.PlotDataItem, list[pg.PlotCurveItem]]:
         """Return a curve of the plot and the lower and upper end of its band."""
@@ -77,29 +72,18 @@ class TiltTab(LiveTab):
         return self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), connect="finite"), ends
 
     def _lay_out(self) -> None:
-        self.filtered.setChecked(self.settings.number("tilt/filtered", 0) > 0)
-        self.filtered.setToolTip(
-            "Angles after a Kalman filter with a constant rate: less noise, a little later. Off: each frame alone"
-        )
         self.roll.setToolTip("Angle about the camera's x axis: positive where the image's lower edge is farther")
         self.pitch.setToolTip("Angle about the camera's y axis: positive where the image's right edge is nearer")
         self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
         for label in (self.roll, self.pitch, self.axis):
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.top.addLayout(hbox(self.filtered, STRETCH))
         side = QWidget()
         vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
 
-    def _filtered_changed(self, on: bool) -> None:
-        self.settings.set("tilt/filtered", int(on))
-        self._show()
-        self.rows_changed()
-
     # Frames
 
     def begin(self, result: Result) -> None:
-        self._filter.restart()
         self._show_none()
 
     def work(self, result: Result) -> Work:
@@ -118,11 +102,9 @@ class TiltTab(LiveTab):
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
             return None
-        filtered = self._filter.update(found)
-        self._newest = result, found, filtered
+        self._newest = result, found
         self._show()
         angles = [getattr(found, name) for name in _ANGLES]
-        angles += [getattr(filtered, name) for name in (*_ANGLES[:4], *_RATES)]
         degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
         return (found.sequence, round(found.time_s, 6), found.points, *degrees)
 
@@ -136,8 +118,8 @@ class TiltTab(LiveTab):
     def _show(self) -> None:
         if self._newest is None:
             return
-        result, alone, filtered = self._newest
-        tilt = self.tilt = filtered if self.filtered.isChecked() else alone
+        result, tilt = self._newest
+        self.tilt = tilt
         assert result.patch is not None
         points, lines = result.patch.points, plane_lines(result.patch.points, tilt)
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
@@ -160,7 +142,7 @@ class TiltTab(LiveTab):
     def rows_changed(self) -> None:
         rows = sorted(list(self.rows.values())[-_PLOTTED:], key=lambda row: float(row[1]))
         times = np.array([row[1] for row in rows])
-        first = self.COLUMNS.index("filtered_roll_deg" if self.filtered.isChecked() else "roll_deg")
+        first = self.COLUMNS.index("roll_deg")
         for place, (curve, ends) in enumerate(self._curves):
             at = first + 2 * place
             angle, sigma = np.array([row[at : at + 2] for row in rows], np.float64).reshape(-1, 2).T  # None: nan

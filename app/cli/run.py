@@ -61,7 +61,7 @@ MCAP_SUFFIX = ".mcap"
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
-Estimate = Literal["tilt", "tilt-filtered"]
+Estimate = Literal["tilt"]
 Lines = Literal["json", "text"]
 EstimateOption = Annotated[
     Estimate | None,
@@ -194,16 +194,10 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
     """Return the function that estimates the tilt of each patch, in the order of the frames; None without one."""
     if estimate is None:
         return None
-    from ...core.estimation.tilt import TiltEstimator, TiltFilter
+    from ...core.estimation.tilt import TiltEstimator
 
     estimator = TiltEstimator(preset, rig)
-    filtered = TiltFilter() if estimate == "tilt-filtered" else None
-
-    def tilt(patch: ContactPatch, frame: SensorFrame) -> Tilt:
-        found = estimator.estimate(patch, frame.sequence, frame.proximity_time_s)
-        return found if filtered is None else filtered.update(found)
-
-    return tilt
+    return lambda patch, frame: estimator.estimate(patch, frame.sequence, frame.proximity_time_s)
 
 
 def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:

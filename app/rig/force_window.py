@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QDialog, QDoubleSpinBox
 
 from ...core.errors import CalibrationError, as_sentence
@@ -54,7 +53,7 @@ class ForceWindow(QDialog):
         self.remove = push_button("&Remove", "Remove the selected presses (Del)")
         self.table = RecordTable(_COLUMNS, "Presses", "Presses with their forces", key=lambda press: press.frame)
         self.verdict, self.note = wrapped_label(verdict=True, selectable=True), NoteLabel(lines=2)
-        self.apply = push_button("A&pply", "Put the inflation into the preset; undo with Ctrl+Z")
+        self.apply = push_button("A&pply", "Put the inflation into the preset; Edit > Undo takes it back")
         leave = push_button("&Close", "Close this window (Esc)")
         typed = hbox(caption("&Force", self.force), self.force, self.add, STRETCH, self.remove)
         row = hbox(STRETCH, self.apply, leave)
@@ -65,8 +64,7 @@ class ForceWindow(QDialog):
         self.table.deleteRequested.connect(self._remove)
         self.apply.clicked.connect(self._apply)
         leave.clicked.connect(self.close)
-        QShortcut(QKeySequence.StandardKey.Undo, self, context.document.undo_stack.undo)
-        context.worker.opened.connect(lambda _: self._show([]))
+        context.worker.opened.connect(lambda _: self._drop("another source was opened"))
         self._untouched = context.document.preset.untouched
         context.document.presetChanged.connect(self._preset_changed)
         self._show([])
@@ -97,7 +95,12 @@ class ForceWindow(QDialog):
         untouched = self._context.document.preset.untouched
         if untouched != self._untouched:
             self._untouched = untouched
-            self._show([])
+            self._drop("the untouched frame is another one")
+
+    def _drop(self, why: str) -> None:
+        if self._presses:
+            self.note.say(f"The presses were removed, because {why}.")
+        self._show([])
 
     def _show(self, presses: list[Press]) -> None:
         self._presses, self.found = presses, None

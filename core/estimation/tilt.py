@@ -1,4 +1,4 @@
-"""The tilt of a contact patch: its plane as two angles, the direction of its long axis, and a filter over time.
+"""The tilt of a contact patch: its plane as two angles, and the direction of its long axis.
 
 The plane is fitted by weighted least squares and corrected by the difference of both depths:
 
@@ -50,14 +50,6 @@ _MAX_CELLS, _MIN_CELL_PX = 24, 4.0
 _ANY_PER_M, _ANY_SLOPE = 100.0, 3.0
 #: Lower limit of the white noise of a camera: none is exact, metres.
 _MIN_WHITE_M: Final = 1e-6
-#: A measurement this many standard deviations from the prediction is a push, not noise: the angle starts again there,
-#: because an object that is hit changes its rate within a frame.
-_PUSHED: Final = 4.0
-#: Standard deviation of the rate at the start, rad/s.
-_START_RATE_RAD_S: Final = 1.0
-#: Standard deviation of the acceleration: a larger one follows faster and averages less. An angle that is not
-#: determined is predicted for up to the second, seconds.
-_ACCELERATION_RAD_S2, _MAX_GAP_S = 3.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -75,8 +67,7 @@ class Tilt:
 
     Angles are in radians, -pi/2 to pi/2, and None if not determined: no contact, or a patch that is a line or a dot.
     ``axis_rad`` is the direction of the long axis in the image, from +u (right) to +v (down), None for a patch that is
-    about as wide as long. ``centroid_m`` is the mean of the points, metres, ``fixed_share`` the part of the variance of
-    roll and pitch that stays from frame to frame. Rates are None unless the tilt was filtered over time.
+    about as wide as long. ``centroid_m`` is the mean of the points, metres.
     """
 
     sequence: int
@@ -89,17 +80,10 @@ class Tilt:
     pitch_sigma_rad: float | None = None
     axis_rad: float | None = None
     axis_sigma_rad: float | None = None
-    fixed_share: float = 0.0
-    roll_rate_rad_s: float | None = None
-    roll_rate_sigma_rad_s: float | None = None
-    pitch_rate_rad_s: float | None = None
-    pitch_rate_sigma_rad_s: float | None = None
 
     def record(self) -> dict[str, Any]:
         """Return the angles and their standard deviations as JSON values, None where not determined."""
         names = [f"{angle}{sigma}_rad" for angle in ("roll", "pitch", "axis") for sigma in ("", "_sigma")]
-        if self.roll_rate_rad_s is not None or self.pitch_rate_rad_s is not None:
-            names += [f"{angle}_rate{sigma}_rad_s" for angle in ("roll", "pitch") for sigma in ("", "_sigma")]
         return {name: getattr(self, name) for name in names}
 
 
@@ -164,9 +148,9 @@ class TiltEstimator:
         matrix, unknown = _plane_fit(cells, cells.count / variance, self._lens.fx)
         plane = matrix @ cells.inverse_m
 
-        near, near_changing = _covariance(matrix, cells, self._proximity, averaged_frames)
-        far, far_changing = _covariance(matrix, cells, self._tactile, averaged_frames)
-        slow, weight = _covariance(matrix, cells, self._slow, 1)[0], tactile_weight
+        near = _covariance(matrix, cells, self._proximity, averaged_frames)
+        far = _covariance(matrix, cells, self._tactile, averaged_frames)
+        slow, weight = _covariance(matrix, cells, self._slow, 1), tactile_weight
         of_slow, apart = 1 - (1 - _SHARED_SLOW) * weight, 1 - _SHARED_SLOW  # shares in the points and the difference
         gain = np.zeros((3, 3))
         if cells.difference_m is not None:
@@ -179,11 +163,9 @@ class TiltEstimator:
         of_slow_error = of_slow * np.eye(3) - apart * gain
         parts = ((of_near, near), (of_far, far), (of_slow_error, slow))
         whole = unknown + sum(part @ covariance @ part.T for part, covariance in parts)
-        changing = of_near @ near_changing @ of_near.T + of_far @ far_changing @ of_far.T
 
         angles, jacobian = _angles(plane)
-        whole, changing = (jacobian @ each @ jacobian.T for each in (whole, changing))
-        sigma = np.sqrt(np.diag(whole))
+        sigma = np.sqrt(np.diag(jacobian @ whole @ jacobian.T))
         roll, pitch = (
             (float(angles[i]), float(sigma[i])) if sigma[i] <= MAX_SIGMA_RAD else (None, None) for i in (0, 1)
         )
@@ -198,7 +180,6 @@ class TiltEstimator:
             pitch_sigma_rad=pitch[1],
             axis_rad=axis[0],
             axis_sigma_rad=axis[1],
-            fixed_share=1.0 - float(np.trace(changing) / np.trace(whole)),
         )
 
 
@@ -298,10 +279,8 @@ def _normalised(values: Float64Array, share: Float64Array, cell: float) -> tuple
     return (values - mean) / scale, mean, scale
 
 
-def _covariance(
-    matrix: Float64Array, cells: _Cells, noise: _DepthNoise, averaged_frames: int
-) -> tuple[Float64Array, Float64Array]:
-    """Return the covariance of a, b, c from the noise of a camera, and its part that changes from frame to frame."""
+def _covariance(matrix: Float64Array, cells: _Cells, noise: _DepthNoise, averaged_frames: int) -> Float64Array:
+    """Return the covariance of a, b, c from the noise of a camera; only what changes between frames is averaged."""
     scaled = matrix * (cells.inverse_m ** (2 - noise.power) / noise.distance_m**noise.power)
     white = (scaled * (noise.white_m**2 / cells.count)) @ scaled.T
     grid = np.zeros((len(scaled), cells.rows, cells.columns))
@@ -309,8 +288,7 @@ def _covariance(
     along, across = (_shared_by_cells(noise.length_px, cells.size_px, n) for n in (cells.rows, cells.columns))
     shared = noise.shared_m**2 * np.einsum("aij,bij->ab", along @ grid @ across, grid)
     fixed = noise.fixed_share * shared
-    changing = (white + shared - fixed) / averaged_frames
-    return changing + fixed, changing
+    return np.asarray((white + shared - fixed) / averaged_frames + fixed)
 
 
 @lru_cache(maxsize=256)
@@ -356,75 +334,3 @@ def _long_axis(cells: _Cells, lens: Intrinsics) -> tuple[float | None, float | N
     if sigma_px2 > MAX_AXIS_SIGMA_RAD * (large - small):
         return None, None
     return angle, float(sigma_px2 / (large - small))
-
-
-@dataclass
-class _Track:
-    """One angle: (angle, rate), their covariance, the variance that time does not average, and when it was measured."""
-
-    state: Float64Array
-    covariance: Float64Array
-    fixed_rad2: float
-    measured_s: float
-
-
-class TiltFilter:
-    """Filters tilts in the order of their time stamps.
-
-    Each angle is a state (angle, rate) driven by white acceleration (Bar-Shalom, Li and Kirubarajan, "Estimation with
-    Applications to Tracking and Navigation", 2001, section 6.3.2). Only the part of a measurement's variance that
-    changes from frame to frame is averaged; the fixed part stays in the standard deviation of the result.
-    """
-
-    def __init__(self) -> None:
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget all measurements, as after a seek."""
-        self._tracks: dict[str, _Track] = {}
-        self._time_s = -math.inf
-
-    def update(self, tilt: Tilt) -> Tilt:
-        """Return the tilt with filtered angles and with rates; a time stamp that is not later restarts the filter."""
-        if tilt.time_s <= self._time_s:
-            self.restart()
-        dt_s, self._time_s = tilt.time_s - self._time_s, tilt.time_s  # infinite at the start, where nothing moves
-        values: dict[str, Any] = {}
-        for name in ("roll", "pitch"):
-            self._step(name, tilt, dt_s)
-            values |= dict.fromkeys(
-                (f"{name}_rad", f"{name}_sigma_rad", f"{name}_rate_rad_s", f"{name}_rate_sigma_rad_s")
-            )
-            if (track := self._tracks.get(name)) is not None:
-                sigma = math.sqrt(track.covariance[0, 0] + track.fixed_rad2)
-                if sigma <= MAX_SIGMA_RAD:
-                    values[f"{name}_rad"], values[f"{name}_sigma_rad"] = float(track.state[0]), sigma
-                    values[f"{name}_rate_rad_s"] = float(track.state[1])
-                    values[f"{name}_rate_sigma_rad_s"] = math.sqrt(track.covariance[1, 1])
-        return replace(tilt, **values)
-
-    def _step(self, name: str, tilt: Tilt, dt_s: float) -> None:
-        """Predict one angle and correct it by the measurement, if there is one."""
-        track = self._tracks.get(name)
-        if track is not None and tilt.time_s - track.measured_s > _MAX_GAP_S:
-            del self._tracks[name]
-            track = None
-        if track is not None:
-            move = np.array([[1.0, dt_s], [0.0, 1.0]])
-            push = _ACCELERATION_RAD_S2 * np.array([dt_s**2 / 2, dt_s])
-            track.state = move @ track.state
-            track.covariance = move @ track.covariance @ move.T + np.outer(push, push)
-        angle, sigma = getattr(tilt, f"{name}_rad"), getattr(tilt, f"{name}_sigma_rad")
-        if angle is None or sigma is None:
-            return
-        fixed, noise = tilt.fixed_share * sigma**2, max((1 - tilt.fixed_share) * sigma**2, 1e-12)
-        if track is not None:
-            residual, total = angle - track.state[0], track.covariance[0, 0] + noise
-            if residual**2 <= _PUSHED**2 * total:
-                gain = track.covariance[:, 0] / total
-                track.state = track.state + gain * residual
-                track.covariance = track.covariance - np.outer(gain, track.covariance[0])
-                track.fixed_rad2, track.measured_s = fixed, tilt.time_s
-                return
-        start = np.diag([noise, _START_RATE_RAD_S**2])
-        self._tracks[name] = _Track(np.array([angle, 0.0]), start, fixed, tilt.time_s)

@@ -40,6 +40,10 @@ class Press(NamedTuple):
             raise CalibrationError(
                 "no contact pressure was computed; set the contact test to pressure, which needs an untouched frame"
             )
+        if not facts.agrees:
+            raise CalibrationError(
+                f"force and pressure disagree in frame {frame}; press in the middle, away from rim and missing depth"
+            )
         if not force_n > 0 or not math.isfinite(force_n):
             raise CalibrationError(f"the force is {force_n:g} N; give what the scale reads while the object presses")
         force, sigma = np.array(facts.force_mm2), np.array(facts.force_sigma_mm2)

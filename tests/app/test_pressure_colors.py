@@ -221,7 +221,7 @@ def test_force_is_calibrated_by_presses_on_a_scale(shown, qtbot, pressed):
     QTest.mouseClick(window.apply, Qt.MouseButton.LeftButton)
     section = shown.document.preset.pressure
     assert abs(section.gauge_pa - truth.inflation_pa) < 2 * section.gauge_sigma_pa
-    QTest.keyClick(window, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    shown.actions_.undo.trigger()
     assert shown.document.preset.pressure.gauge_pa == 0.0
     window.table.selectAll()
     QTest.keyClick(window.table, Qt.Key.Key_Delete)

@@ -30,23 +30,13 @@ def go_to(qtbot, window, tab, index):
     qtbot.waitUntil(lambda: tab.tilt is not None and tab.tilt.sequence == index)
 
 
-def test_shows_the_angles_filters_and_remembers_the_choice(qtbot, window):
+def test_shows_the_angles(qtbot, window):
     tab = opened(qtbot, window)
     alone = tab.tilt
     assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
     assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
     assert [name for name, _ in tab.cloud.legend()] == ["patch", "fitted plane"]
     assert "noise" in tab.status.text()  # that of the rig was not measured
-    for index in (4, 5, 6):
-        go_to(qtbot, window, tab, index)
-    raw = tab.tilt
-    tab.filtered.setFocus()
-    QTest.keyClick(tab.filtered, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: tab.tilt.roll_rate_rad_s is not None)
-    assert tab.tilt.sequence == 6 and tab.tilt.roll_sigma_rad < raw.roll_sigma_rad
-    other = type(tab)(window.context)
-    assert other.filtered.isChecked()
-    other.shut_down()
 
 
 def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, window):
@@ -74,4 +64,4 @@ def test_rows_are_exported_removed_and_brought_back(qtbot, window, tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["frame"] for row in rows] == ["3", "4"]
     assert float(rows[0]["roll_deg"]) == pytest.approx(math.degrees(first.roll_rad), abs=1e-3)
-    assert float(rows[1]["filtered_roll_sigma_deg"]) > 0
+    assert float(rows[1]["roll_sigma_deg"]) > 0

@@ -1,14 +1,12 @@
 """Roll, pitch and long axis of a patch: exact planes, independent computations, what is not determined, sigmas."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
 
 from tactune.core import load_preset
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.estimation.tilt import Tilt, TiltEstimator, TiltFilter
+from tactune.core.estimation.tilt import TiltEstimator
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -116,38 +114,3 @@ def test_standard_deviation_of_correlated_noise(rig):
     stated, found = (np.sqrt(np.mean(np.square(values))) for values in (sigmas, errors))
     assert 0.8 < stated / found < 1.25
     assert 0.6 < np.mean(np.abs(errors) < sigmas) < 0.82
-
-
-def moving(count=90, sigma=0.004, seed=3):
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(rng.uniform(0.02, 0.05, count))
-    truth = 0.1 * np.sin(1.5 * times)
-    known = {"roll_sigma_rad": sigma, "pitch_rad": 0.0, "pitch_sigma_rad": sigma}
-    measured = truth + sigma * rng.standard_normal(count)
-    raw = [Tilt(i, times[i], 100, roll_rad=measured[i], **known) for i in range(count)]
-    return times, truth, raw
-
-
-def test_filter_follows_with_less_noise_and_honest_sigmas():
-    times, truth, raw = moving(600)
-    filter_ = TiltFilter()
-    found = [filter_.update(tilt) for tilt in raw][30:]
-    errors = np.array([tilt.roll_rad for tilt in found]) - truth[30:]
-    sigmas = np.array([tilt.roll_sigma_rad for tilt in found])
-    assert np.std(errors) < 0.85 * 0.004
-    assert np.mean(np.abs(errors) < 2 * sigmas) > 0.9
-    rates = np.array([tilt.roll_rate_rad_s for tilt in found])
-    assert np.std(rates - 0.15 * np.cos(1.5 * times[30:])) < 0.08
-
-
-def test_filter_bridges_a_gap_and_forgets_after_a_long_one():
-    times, _, raw = moving(60)
-    filter_ = TiltFilter()
-    before = [filter_.update(tilt) for tilt in raw][-1]
-    lost = {"roll_rad": None, "roll_sigma_rad": None, "pitch_rad": None, "pitch_sigma_rad": None}
-    gap = filter_.update(replace(raw[-1], time_s=times[-1] + 0.1, **lost))
-    assert gap.roll_rad == pytest.approx(before.roll_rad + 0.1 * before.roll_rate_rad_s, abs=1e-9)
-    assert gap.roll_sigma_rad > before.roll_sigma_rad
-    assert filter_.update(replace(raw[-1], time_s=times[-1] + 0.8, **lost)).roll_rad is None
-    again = filter_.update(replace(raw[-1], time_s=times[-1] + 0.9, roll_rad=-0.2))
-    assert (again.roll_rad, again.roll_rate_rad_s) == (-0.2, 0.0)
