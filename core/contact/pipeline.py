@@ -27,6 +27,7 @@ from .pixels import Pixels, Workspace
 if TYPE_CHECKING:
     from ..preset import Preset
 
+__all__ = ["ContactPatch", "ContactPipeline"]
 
 #: Side of the image blocks whose mean depth is compared with the average, pixels.
 _SIDE_PX: Final = 32
@@ -115,8 +116,6 @@ class _Means:
         in_parallel(add_rows, len(counts))
         return mean
 
-
-__all__ = ["ContactPatch", "ContactPipeline"]
 
 #: Name of the step that averages depth over frames; it precedes the test's own steps.
 AVERAGE: Final = "average"

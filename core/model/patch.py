@@ -144,7 +144,6 @@ class Contact:
 
     area_mm2: float  # Projected on the plane across the optical axis
     centroid_m: tuple[float, float, float]  # Mean of its points, metres, proximity depth frame
-    pixel: tuple[int, int]  # Column and row of its point nearest to the centroid
     doubt: Doubt
     members: IndexArray = field(repr=False, compare=False)  # Which points of the patch are its own
 
@@ -373,21 +372,12 @@ class ContactPatch:
         total_mm2, size = (np.bincount(labels, weights, count - 1) for weights in (areas_mm2, None))
         sums = np.stack([np.bincount(labels, self.points[:, axis], count - 1) for axis in range(3)], axis=1)
         centroids = sums / size[:, None]
-        order, starts = np.argsort(labels, kind="stable"), np.cumsum(size) - size
-        apart = self.points - centroids.astype(np.float32)[labels]
-        away = np.einsum("ij,ij->i", apart, apart)[order]
-        at_least = np.flatnonzero(away == np.repeat(np.minimum.reduceat(away, starts), size))
-        nearest = order[at_least[np.searchsorted(at_least, starts)]]
-        v, u = np.divmod(pixels[nearest], width)
-        members = np.split(order, starts[1:])
+        members = np.split(np.argsort(labels, kind="stable"), np.cumsum(size)[:-1])
         return tuple(
-            Contact(
-                float(total_mm2[i]), (float(x), float(y), float(z)), (int(u[i]), int(v[i])),
-                self._doubt_of(Candidates(pixels[own], self.points[own])), own,
-            )
+            Contact(float(total_mm2[i]), (x, y, z), self._doubt_of(Candidates(pixels[own], self.points[own])), own)
             for i in np.argsort(-total_mm2, kind="stable")
-            for (x, y, z), own in [(centroids[i], members[i])]
-        )  # fmt: skip
+            for (x, y, z), own in [(centroids[i].tolist(), members[i])]
+        )
 
     @cached_property
     def doubt(self) -> Doubt:
