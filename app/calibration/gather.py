@@ -153,6 +153,9 @@ class Gather(QWidget):
     def _take(self) -> None:
         result, recorder = self._context.result, self._context.worker.recorder
         assert result is not None
+        if recorder.watched:  # by another window that began while this one prepared
+            self._fail(OTHER_TASK)
+            return
         self._taking = True
         kept: dict[int, Any] = {}
 
