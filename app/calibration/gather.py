@@ -173,8 +173,7 @@ class Gather(QWidget):
             return
         recorder.watch(take, self._takingFailed.emit)
         self._timer.start()
-        if not playback.playing:
-            self._context.worker.play()
+        self._context.worker.play()  # also where a pause is on its way that the newest frame does not know of
 
     def stop(self) -> None:
         was_taking, was_busy = self._taking, self.busy
