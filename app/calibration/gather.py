@@ -164,7 +164,7 @@ class Gather(QWidget):
                 kept[frame.sequence] = self.keep(frame)
 
         self._kept, self._counted, self._last_s = kept, 0, time.monotonic()
-        playback = result.playback
+        playback = self._context.playback or result.playback  # the newest state: that of the frame may be older
         self._return_to = playback.index if playback.seekable and not playback.playing else None
         try:
             take(result.frame)
