@@ -22,7 +22,7 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "guide" / "keys.md"
 
 def page() -> str:
     """Return the page: each menu's actions that have keys, then the mouse."""
-    lines = ["# Keys and mouse", "", "Also in the window: *Help > Shortcuts* (Shift+F1)."]
+    lines = ["# Keys and mouse", "", "*Help > Shortcuts* (Shift+F1) opens this page."]
     for title, entries in TABLE.items():
         rows = [(row, row.keys or row.text.partition("\t")[2]) for row in entries if isinstance(row, Row)]
         if any(keys for _, keys in rows):

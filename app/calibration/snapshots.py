@@ -71,7 +71,7 @@ class SnapshotStep(Gather):
         return lambda _: take_snapshot(kept[: min(still, self.wanted)], number, info)
 
     def _still(self, kept: Sequence[SensorFrame]) -> int:
-        """Return how many of the first frames belong together: until the membrane moves, or a recording begins anew."""
+        """Return the number of frames before the membrane moves or the recording starts again."""
         unit_m = self._rig.tactile.depth_unit_m
         for number, (before, frame) in enumerate(pairwise(kept), 1):
             if frame.sequence < before.sequence or moved_m(kept[0], frame, unit_m) > MOVED_LIMIT_M:

@@ -37,6 +37,11 @@ if TYPE_CHECKING:
 #: Number of frames of which the rig's noise is measured.
 _MEASURED = 60
 
+_MeasuredOut = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
+]
+
 preset_commands = typer.Typer(
     help="Make, show, check and improve presets and rigs.",
     no_args_is_help=True,
@@ -144,10 +149,7 @@ def measure_rig(
         str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames of a scene at rest, at least 10.")
     ],
     preset: PresetOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
-    ] = None,
+    out: _MeasuredOut = None,
 ) -> None:
     """Measure the noise of both cameras and the bias between them, and store them in a preset.
 
@@ -158,9 +160,7 @@ def measure_rig(
     from ...core.rig.noise import describe, measure_noise
     from ...core.rig.untouched import find_untouched, frames_to_average
 
-    target = out or (None if preset is None else Path(preset))
-    if target is not None:
-        check_target(target, preset)
+    target = _target(out, preset)
     chosen, origin = chosen_preset(preset, source)
     with open_with_progress(source, chosen) as opened, CliProgress() as progress:
         found = find_untouched(chosen, origin, opened, progress.preparing)
@@ -171,11 +171,7 @@ def measure_rig(
     if len(frames) < _MEASURED:
         warn(f"the source has only {len(frames)} of the {_MEASURED} frames to measure")
     say("\n".join(describe(noise)))
-    if target is None:
-        warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
-        return
-    save_changed(chosen.with_value("noise", noise.model_dump()), origin, target)
-    say(f"wrote {target}")
+    _keep(chosen.with_value("noise", noise.model_dump()), origin, target)
 
 
 @preset_commands.command("calibrate-force", short_help="Measure the inflation from presses on a scale.")
@@ -191,10 +187,7 @@ def calibrate_force(
         ),
     ],
     preset: PresetOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
-    ] = None,
+    out: _MeasuredOut = None,
 ) -> None:
     """Measure the pressure of the inflation from presses of known force, and store it in a preset.
 
@@ -202,9 +195,7 @@ def calibrate_force(
     """
     from ...core.rig.inflation import Press, fit_inflation, read_forces
 
-    target = out or (None if preset is None else Path(preset))
-    if target is not None:
-        check_target(target, preset)
+    target = _target(out, preset)
     log = read_forces(forces)
     chosen, origin = chosen_preset(preset, source)
     presses: list[Press] = []
@@ -234,11 +225,7 @@ def calibrate_force(
         warn(f"{len(unused)} of {counted(len(unused) + len(presses), 'force')} not used: {unused[0]}")
     found = fit_inflation(presses)
     say(found.sentence)
-    if target is None:
-        warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
-        return
-    save_changed(chosen.with_values(found.changes), origin, target)
-    say(f"wrote {target}")
+    _keep(chosen.with_values(found.changes), origin, target)
 
 
 @preset_commands.command()
@@ -247,6 +234,23 @@ def schema() -> None:
     from ...core.preset.preset import json_schema
 
     typer.echo(json.dumps(json_schema(), indent=2))
+
+
+def _target(out: Path | None, preset: str | None) -> Path | None:
+    """Return where a measurement is stored, which is checked before it is made; None if nowhere."""
+    target = out or (None if preset is None else Path(preset))
+    if target is not None:
+        check_target(target, preset)
+    return target
+
+
+def _keep(measured: Preset, origin: str, target: Path | None) -> None:
+    """Write a preset with what was measured, or say that it is not kept."""
+    if target is None:
+        warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
+        return
+    save_changed(measured, origin, target)
+    say(f"wrote {target}")
 
 
 def _refuse_contact(preset: Preset, rig: Rig, membrane: SensorFrame) -> None:

@@ -24,8 +24,7 @@ from ..calibration.gather import OTHER_SOURCE, Gather
 from ..context import Context
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
-from .noise import NoiseStep
-from .set_up_steps import AlignmentStep, BiasStep, SuggestStep, VerdictStep
+from .set_up_steps import AlignmentStep, BiasStep, NoiseStep, SuggestStep, VerdictStep
 from .untouched import UntouchedStep
 
 _LEFT_OUT: Final = "Left out: this rig has one camera."

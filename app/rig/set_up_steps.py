@@ -1,4 +1,4 @@
-"""The steps of the guided set-up beyond untouched frame and noise: alignment, bias, suggestions and verdict."""
+"""The steps of the guided set-up beyond the untouched frame: noise, alignment, bias, suggestions and verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...core.model.arrays import Float64Array
 from ...core.model.frames import SensorFrame
 from ...core.model.rig_noise import Verdict
 from ...core.preset import RigNoise, now
-from ...core.rig.noise import describe, with_bias
+from ...core.rig.noise import MIN_FRAMES, NOISE_FRAMES, describe, measure_noise, with_bias
 from ...core.rig.untouched import tile_medians
 from ...core.rig.verdict import judge_rig
 from ...core.sources.base import part_of
@@ -40,6 +40,31 @@ _HELD_M: Final = 0.002
 _HELD_FRAMES: Final = 8
 #: Frames with which suggestions are made.
 _RECENT: Final = 4
+
+
+class NoiseStep(Gather):
+    """Measures at rest; the simulator takes its object away."""
+
+    wanted, min_frames = NOISE_FRAMES, MIN_FRAMES
+
+    def __init__(self, context: Context) -> None:
+        tip = "Measure the noise of both cameras, and the bias on prints, into the preset; nothing may move"
+        super().__init__(context, push_button("&Measure noise", tip))
+
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        count, preset, home = self.wanted, self._document.preset, self._document.untouched_home
+
+        def measure(progress: Progress) -> RigNoise:
+            untouched = info.find_untouched(preset, home, part_of(progress, 0, 2)).frame
+            return measure_noise(kept[:count], info.rig, preset, untouched, part_of(progress, 1, 2))
+
+        return measure
+
+    def show_found(self, found: RigNoise) -> None:
+        self.sentence.setText(" ".join(describe(found)))
+
+    def changes(self) -> dict[str, Any]:
+        return {"noise": self.found.model_dump()}
 
 
 class AlignmentStep(Gather):

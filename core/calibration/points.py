@@ -52,15 +52,7 @@ def read_points(path: Path | str) -> list[PointPair]:
     CalibrationError
         The file cannot be read, has another header or an invalid row; the message names line, column and value.
     """
-    try:
-        header, rows = parse_table(read_file(Path(path), _MAX_BYTES), texts=("id", "origin", "proximity_image"))
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"cannot read the points {path}: it is no text; choose a CSV file") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise CalibrationError(f"cannot read the points {path}: {reason}; choose a CSV file") from error
-    except ValueError as error:
-        raise CalibrationError(f"{path}, {error}; correct the row") from error
+    header, rows = read_table(path, "points", texts=("id", "origin", "proximity_image"))
     _check_header(header, path)
     pairs: dict[str, PointPair] = {}
     for line, row in rows:
@@ -169,6 +161,22 @@ def check_points(points: PointArrays, least: int, name: str, **sides: Float64Arr
 
 _SEPARATORS: Final = (";", "\t", ",")
 _DECIMAL_COMMA: Final = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+
+
+def read_table(
+    path: Path | str, what: str, texts: Collection[str] = ()
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Read a CSV file as `parse_table`; `CalibrationError` names the file, what it should hold, and the line."""
+    try:
+        return parse_table(read_file(Path(path), _MAX_BYTES), texts)
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"cannot read the {what} {path}: it is no text; choose a CSV file") from error
+    except OSError as error:
+        raise CalibrationError(
+            f"cannot read the {what} {path}: {error.strerror or error}; choose a CSV file"
+        ) from error
+    except ValueError as error:
+        raise CalibrationError(f"{path}, {error}; correct the row") from error
 
 
 def parse_table(data: bytes, texts: Collection[str] = ()) -> tuple[list[str], list[tuple[int, list[str]]]]:

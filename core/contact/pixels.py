@@ -132,7 +132,7 @@ class Pixels:
     ) -> Candidates:
         """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's.
 
-        ``within``, if given, is left, top, right and bottom of a rectangle outside of which none is wanted.
+        ``within`` limits them to a rectangle: left, top, right, bottom.
         """
         height, width = frame.proximity_depth.shape
         images, test, workspace = depth_images(frame), self.test(tolerance), self.workspace

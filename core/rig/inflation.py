@@ -9,18 +9,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from ..calibration.points import parse_table
+from ..calibration.points import read_table
 from ..errors import CalibrationError, foreign
 from ..model.arrays import Float64Array
 from ..model.frames import SensorFrame
-from ..model.loading import read_file
 from ..model.patch import ContactPatch
 
 #: The force of a press stands out of its noise by this many standard deviations.
 _SIGMAS: Final = 3.0
 #: Error of the relative force that all presses of a rig share, and largest residual of presses that fit together.
 _SHARED_ERROR, _LARGEST_RESIDUAL = 0.05, 0.5
-_MAX_BYTES: Final = 50_000_000
 _COLUMNS: Final = "frame,force_n or time_s,force_n"
 
 
@@ -128,14 +126,7 @@ def read_forces(path: Path | str) -> Forces:
     CalibrationError
         The file cannot be read, lacks a column or has an invalid row; the message names line and value.
     """
-    try:
-        header, rows = parse_table(read_file(Path(path), _MAX_BYTES))
-    except OSError as error:
-        raise CalibrationError(f"cannot read the forces {path}: {error.strerror or error}; give a CSV file") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"cannot read the forces {path}: it is no text; give a CSV file") from error
-    except ValueError as error:
-        raise CalibrationError(f"{path}, {error}; correct the row") from error
+    header, rows = read_table(path, "forces")
     keys = [name for name in ("frame", "time_s") if name in header]
     if len(keys) != 1 or "force_n" not in header:
         raise CalibrationError(f"{path}: the columns are {foreign(', '.join(header), 80)}; they should be {_COLUMNS}")

@@ -84,13 +84,17 @@ class Study:
         """Return the measured trials by number, and those that no other beats, by the first objective."""
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
-        trials = {}
+        trials: dict[object, Trial] = {}
         with self._told():
             for trial in self._study.get_trials(deepcopy=False):
                 if trial.state.is_finished() and "measured" in trial.user_attrs:
                     values, (figures, failure) = self._values(trial.params), trial.user_attrs["measured"]
-                    trials[trial.number] = Trial(trial.number, values, figures, failure, values == self._present)
-            front = [trials[trial.number] for trial in self._study.best_trials]
+                    # two searches at once may measure a point of the grid twice; it counts once
+                    key = json.dumps(values, sort_keys=True) if self.plan.grid else trial.number
+                    if key not in trials or trial.state == TrialState.COMPLETE:
+                        trials[key] = Trial(trial.number, values, figures, failure, values == self._present)
+            best = {trial.number for trial in self._study.best_trials}
+            front = [trial for trial in trials.values() if trial.number in best]
         front.sort(key=lambda it: (float(f"{sign * it.figures[first]:.9g}"), it.figures.get("ms", 0.0)))
         return list(trials.values()), front
 

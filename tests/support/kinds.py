@@ -187,8 +187,8 @@ def search(folder: Path, n: int) -> bool:
     study = Study(PLANS[n], folder / "s.log")
     list(study.run(Workers(_NoWork(), 1)))  # type: ignore[arg-type]
     trials, _ = study.results()
-    # a trial that a killed search was about to note may count twice
-    return {str(trial.values["tolerance.t"]) for trial in trials} == set(map(str, PLANS[n].axes[0].values))
+    values = {str(trial.values["tolerance.t"]) for trial in trials}
+    return len(trials) == 3 and values == set(map(str, PLANS[n].axes[0].values))
 
 
 # What the window keeps

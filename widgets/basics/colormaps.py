@@ -116,7 +116,7 @@ def pressure_lut(theme: ThemeName) -> Uint8Array:
 
 
 def pressure_index(relative: Float32Array, top: float) -> Uint8Array:
-    """Return rows of `pressure_lut` for shares of the inflation, float32, of which ``top`` has the last."""
+    """Return rows of `pressure_lut` for shares of the inflation, float32; from ``top`` on it is the last row."""
     last = np.float32(_PRESSURE_ROWS - 1)
     rows = np.clip(relative * (last / np.float32(top)), np.float32(0.0), last) + np.float32(1.5)
     return np.asarray(np.nan_to_num(rows, nan=UNDEFINED_ROW, copy=False), np.uint8)

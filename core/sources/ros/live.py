@@ -37,6 +37,8 @@ from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, s
 _SEARCH_S: Final = 6.0
 _SETTLED_S: Final = 1.0
 _POLL_S: Final = 0.05
+#: Types of messages; the first message of a topic tells size, encoding and lens.
+_KINDS: Final = (IMAGE, COMPRESSED, CAMERA_INFO)
 #: How long `cameras_here` listens, seconds: images come at least every 0.2 s.
 _LOOK_S: Final = 2.0
 
@@ -138,10 +140,6 @@ class _Heard(Bag):
 
     def close(self) -> None:
         self._readers.clear()
-
-
-#: Types of which one message tells enough.
-_KINDS: Final = (IMAGE, COMPRESSED, CAMERA_INFO)
 
 
 _ANY_NETWORK: Final = "0.0.0.0"  # noqa: S104  # ROS 2 listens to all

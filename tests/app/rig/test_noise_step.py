@@ -9,7 +9,7 @@ from fakes import FakeSource
 from hands import CONTROL, LEFT, show_source
 from side_by_side import HEIGHT, PRINT_MASK, WIDTH, WallCameras, counts, wall_source
 from tactune.app.calibration import gather
-from tactune.app.rig.noise import NoiseStep
+from tactune.app.rig.set_up_steps import NoiseStep
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 

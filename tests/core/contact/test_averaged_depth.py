@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.core.contact.pipeline import AveragedDepth, ContactPipeline
+from tactune.core.contact.membrane.average import AveragedDepth
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 
 AVERAGED = Preset().with_values({"contact_test": "membrane", "membrane.frames": 10})
