@@ -159,9 +159,13 @@ def test_a_point_under_the_mouse_marks_its_pixel_in_the_images_and_its_points_in
     u, v = 33, 22
     canvases = [view.canvas for view in window.views.views.values()]
     for name in (PROXIMITY, TACTILE, PATCH):
-        at = on_canvas(window, name, place_of(window, name, u, v))
         seen = partial(hover, window, name)
-        qtbot.waitUntil(lambda: seen(at, lambda: window.strip.readout.text().startswith(f"({u}, {v})")))  # noqa: B023  # used at once
+
+        def pointed(name=name, seen=seen):  # where the point is now: a view that is laid out frames its cloud again
+            at = on_canvas(window, name, place_of(window, name, u, v))
+            return seen(at, lambda: window.strip.readout.text().startswith(f"({u}, {v})"))
+
+        qtbot.waitUntil(pointed)
         assert all(pane.cross.isVisible() for pane in window.strip.panes.values())
         for other, view in window.views.views.items():
             np.testing.assert_allclose(view.canvas.mark, place_of(window, other, u, v), atol=2e-3)
