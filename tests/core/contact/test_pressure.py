@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.contact.pressure import surface
@@ -34,26 +35,32 @@ def pressed():
     return source.rig, preset, frame, untouched
 
 
-def spherical(rig, radius_m, apex_m=0.3, seed=None):
-    """A free bubble: the far side of a sphere whose farthest point is at a depth, with noise that pixels share."""
-    lens = rig.tactile.intrinsics
+def bubble(rig, radius_m, apex_m=0.3, ball_m=1.0, contact_m=0.0):
+    """A membrane of constant tension on a round rim: free, a part of a sphere whose farthest point is at a depth.
+
+    With a ball pressed into it: r sin(slope) = r^2 / ball_m where they touch, constant - r^2 / radius_m beyond.
+    """
+    lens, r = rig.tactile.intrinsics, radius_m * np.sin(np.linspace(1e-6, 1.4, 40_001))
+    constant = contact_m**2 * (1 / ball_m + 1 / radius_m)
+    sine = np.where(r < contact_m, r / ball_m, constant / r - r / radius_m)
+    rise = cumulative_trapezoid(sine / np.sqrt(1 - sine**2), r, initial=0)
+    depth = rise - rise[-1] + apex_m - radius_m + np.sqrt(radius_m**2 - r[-1] ** 2)
     v, u = np.mgrid[: lens.height, : lens.width]
-    x, y = np.moveaxis(lens.normalise(np.stack([u, v], -1).reshape(-1, 2)).reshape(*lens.shape, 2), -1, 0)
-    square, centre = 1 + x * x + y * y, apex_m - radius_m
-    depth = (centre + np.sqrt(np.maximum(centre**2 - square * (centre**2 - radius_m**2), 0))) / square
-    return SensorFrame.of_shots(rig, 0, None, Shot(np.rint(depth / 1e-4).astype(np.uint16), None, 0.0))
+    rays = np.hypot(*lens.normalise(np.stack([u, v], -1).reshape(-1, 2)).T).reshape(lens.shape)
+    seen = np.interp(rays, r / depth, depth, right=0)
+    return SensorFrame.of_shots(rig, 0, None, Shot(np.rint(seen / 1e-4).astype(np.uint16), None, 0.0))
 
 
 def test_a_sphere_has_its_curvature_and_carries_no_force():
     rig = Rig.of_one_camera(simulator_rig().tactile)
-    counts = spherical(rig, 0.2).tactile_depth
+    counts = bubble(rig, 0.2).tactile_depth
     grid = surface.Grid.of(rig.tactile.intrinsics, counts)
     depth_m, share = surface.cells(counts, 1e-4, 0.0)
     bulge, largest = surface.curvature(surface.fit(depth_m, share, 2.0), grid)
     assert np.nanmedian(bulge) == pytest.approx(2 / 0.2, rel=0.01)
     assert np.nanmedian(largest) == pytest.approx(1 / 0.2, rel=0.02)
     assert np.nanstd(bulge) < 0.3
-    steep_m, all_of_it = surface.cells(spherical(rig, 0.12).tactile_depth, 1e-4, 0.0)
+    steep_m, all_of_it = surface.cells(bubble(rig, 0.12).tactile_depth, 1e-4, 0.0)
     steep = surface.curvature(surface.fit(steep_m, all_of_it, 2.0), grid)
     assert np.nanpercentile(steep, 95) == pytest.approx(2 / 0.12, rel=0.05), "where it slopes in both directions, too"
     rows, columns = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
@@ -62,6 +69,22 @@ def test_a_sphere_has_its_curvature_and_carries_no_force():
     assert air[2] > 0.003
     assert pressed == pytest.approx(air / 2)
     assert np.linalg.norm(air - pull * 0.2 / 2) < 0.01 * np.linalg.norm(air)
+
+
+@pytest.mark.parametrize(("ball_m", "contact_m", "off_mm"), [(0.05, 0.015, 1), (0.05, 0.02, 1), (0.08, 0.03, 2)])
+def test_a_ball_in_a_membrane_of_constant_tension_has_the_force_and_contact_of_the_integral(ball_m, contact_m, off_mm):
+    rig, radius_m, gauge_pa = Rig.of_one_camera(simulator_rig().tactile), 0.25, 2000.0
+    rest, now = bubble(rig, radius_m), bubble(rig, radius_m, 0.3, ball_m, contact_m)
+    patch = ContactPipeline(PRESSURE.with_value("pressure.gauge_pa", gauge_pa), rig, rest).process(now)
+    force_n = gauge_pa * np.pi * contact_m**2 * (1 + radius_m / ball_m)  # the air, and tension at the circle of contact
+    assert patch.force_n == pytest.approx((0, 0, -force_n), abs=0.05 * force_n)
+    assert np.sqrt(patch.area_mm2 / np.pi) == pytest.approx(1e3 * contact_m, abs=off_mm)
+    # before any smoothing: the air on what lies inside of a ring, less the pull at the ring
+    grid = surface.Grid.of(rig.tactile.intrinsics, now.tactile_depth)
+    depth_m, _ = surface.cells(now.tactile_depth[grid.pixels], 1e-4, 0.0)
+    weight = np.clip((0.07 - depth_m * np.hypot(grid.x, grid.y)) / 0.02, 0, 1)
+    air, pull, _ = surface.balance(grid.points(depth_m), weight, np.zeros_like(weight))
+    assert gauge_pa * (pull * radius_m / 2 - air) == pytest.approx((0, 0, -force_n), abs=0.02 * force_n)
 
 
 def test_nothing_is_known_at_the_rim():
@@ -230,7 +253,7 @@ def test_a_hand_on_the_rim_is_claimed_where_it_touches_or_doubted(at_rest, monke
 def test_a_bubble_that_was_inflated_more_or_less_since_is_no_contact(share):
     """A smaller or larger pressure changes the curvature of the whole bubble, and lifts or sinks it."""
     rig = Rig.of_one_camera(simulator_rig().tactile)
-    rest, now = spherical(rig, 0.2), spherical(rig, 0.2 / share, 0.3 + 0.05 * (share - 1))
+    rest, now = bubble(rig, 0.2), bubble(rig, 0.2 / share, 0.3 + 0.05 * (share - 1))
     patch = ContactPipeline(PRESSURE, rig, rest).process(now)
     assert patch.pressure.curvature_growth == pytest.approx(share, rel=0.02)
     assert not claimed(patch)
@@ -240,7 +263,7 @@ def test_a_bubble_that_was_inflated_more_or_less_since_is_no_contact(share):
 @pytest.mark.parametrize("shape", ["flat", "dented"])
 def test_a_deflated_membrane_is_doubted_and_no_contact(shape):
     rig = Rig.of_one_camera(simulator_rig().tactile)
-    rest = spherical(rig, 0.2)
+    rest = bubble(rig, 0.2)
     depth = np.full_like(rest.tactile_depth, 3000) if shape == "flat" else 6000 - rest.tactile_depth
     now = SensorFrame.of_shots(rig, 0, None, Shot(depth, None, 0.0))
     patch = ContactPipeline(PRESSURE, rig, rest).process(now)
@@ -264,10 +287,10 @@ def test_a_press_at_the_rim_is_doubted(pressed):
 
 def test_an_untouched_membrane_that_is_flat_is_refused():
     rig = Rig.of_one_camera(simulator_rig().tactile)
-    bubble = spherical(rig, 0.2)
-    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full_like(bubble.tactile_depth, 3000), None, 0.0))
+    now = bubble(rig, 0.2)
+    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full_like(now.tactile_depth, 3000), None, 0.0))
     with pytest.raises(RigMismatchError, match="flat"):
-        ContactPipeline(PRESSURE, rig, flat).process(bubble)
+        ContactPipeline(PRESSURE, rig, flat).process(now)
 
 
 @pytest.mark.parametrize("kind", ["folder", "recording"])
