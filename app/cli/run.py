@@ -133,7 +133,7 @@ def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iter
         from ...core.output.writer import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
-            yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
+            yield lambda patch, frame: writer.write(patch, frame.proximity_time_s)
     else:
         from ...core.model.frames import note_number
         from ...core.output.cloud_files import patch_cloud, write_cloud

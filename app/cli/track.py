@@ -148,7 +148,7 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[S
 
             def write(patch: ContactPatch, pose: PoseEstimate, _: Record) -> None:
                 known = None if pose.lost else (pose.T_proximity_object, pose.covariance)
-                writer.write(patch.points, pose.sequence, pose.time_s, known)
+                writer.write(patch, pose.time_s, known)
 
             yield write
     else:

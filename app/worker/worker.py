@@ -113,6 +113,7 @@ class Worker(QThread):
 
     def set_publisher(self, publisher: Publisher | None) -> None:
         self._publisher = publisher
+        self._orders.put(lambda: setattr(self, "_redo", True))  # a paused frame is published, too
 
     def put_pose(self, pose: PoseEstimate) -> None:
         """Publish and record the pose of a tracked object that is not lost, while publishing or recording runs."""

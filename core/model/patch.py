@@ -232,6 +232,12 @@ class PressureFacts:
         x, y, z = (1e-6 * self.inflation_pa * each for each in area_mm2)
         return x, y, z
 
+    def by_point(self) -> dict[str, Float32Array]:
+        """Return the contact pressure at the points of the patch by name, (N,): as a share, and in pascals if known."""
+        relative = self.at_points.get()
+        pascals = {"pressure_pa": relative * np.float32(self.inflation_pa)} if self.inflation_pa > 0 else {}
+        return {"relative_pressure": relative, **pascals}
+
     def record(self) -> dict[str, Any]:
         """Return force and inflation for JSON; None for what is not known."""
         force_n, sigma_n = self.force_n, self.force_sigma_n

@@ -39,7 +39,7 @@ def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud
         **patch.doubt_by_point(),
     }
     if patch.pressure is not None:
-        attributes["relative_pressure"] = patch.pressure.at_points.get()
+        attributes |= patch.pressure.by_point()
     return PointCloud(patch.points, colors, attributes)
 
 

@@ -39,21 +39,18 @@ class DdsSink:
         self._participant: Participant | None = None
         self._clients = 0
 
-    def start(self, topics: Mapping[str, str]) -> None:
+    def start(self) -> None:
         try:
             self._participant = Participant(self._domain, self._host)
-            for topic, type_name in topics.items():
-                is_kept = topic in SAID_ONCE
-                self._writers[topic] = self._participant.write(
-                    ros_topic(topic, self._namespace),
-                    type_name,
-                    type_hash(type_name),
-                    1 if is_kept else _HISTORY,
-                    is_kept,
-                )
         except ValueError as error:
-            self.close()
             raise PublishError(f"ROS 2 cannot start on {self.status().place}: {error}") from error
+
+    def announce(self, topics: Mapping[str, str]) -> None:
+        assert self._participant is not None
+        for topic, kind in topics.items():
+            is_kept, name = topic in SAID_ONCE, ros_topic(topic, self._namespace)
+            history = 1 if is_kept else _HISTORY
+            self._writers[topic] = self._participant.write(name, kind, type_hash(kind), history, is_kept)
 
     def wanted(self) -> Collection[str]:
         counts = {topic: writer.subscribers for topic, writer in self._writers.items()}

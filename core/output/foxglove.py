@@ -39,6 +39,9 @@ _MESSAGE_DATA: Final = 1
 #: Subscriptions of a client to one topic, on the average: each gets a copy of every message.
 _MAX_PER_TOPIC: Final = 4
 
+#: The first text to a client.
+_INFO: Final = {"op": "serverInfo", "name": "Tactune", "capabilities": [], "supportedEncodings": [], "metadata": {}}
+
 _log = logging.getLogger(__name__)
 
 
@@ -58,19 +61,24 @@ class _Client:
         self.waiting: dict[str, LiveMessage] = {}
         self.has_waiting = asyncio.Event()
 
-    async def send_on(self) -> None:
+    async def send_on(self, channels: Sequence[Mapping[str, Any]]) -> None:
         """Send what waits until the client is gone; a slow one gets fewer frames, and only this task waits for it."""
         from websockets.exceptions import ConnectionClosed
 
+        known = 0
         with suppress(ConnectionClosed):
+            await self.connection.send(json.dumps(_INFO))
             while True:
-                await self.has_waiting.wait()
-                self.has_waiting.clear()
+                new, known = channels[known:], len(channels)
+                if new:
+                    await self.connection.send(json.dumps({"op": "advertise", "channels": new}))
                 taken, self.waiting = self.waiting, {}
                 for number, topic in list(self.subscriptions.items()):
                     if (message := taken.get(topic)) is not None:
                         head = struct.pack("<BIQ", _MESSAGE_DATA, number, message.stamp_ns)
                         await self.connection.send(head + message.data)
+                await self.has_waiting.wait()
+                self.has_waiting.clear()
 
 
 class FoxgloveSink:
@@ -83,8 +91,7 @@ class FoxgloveSink:
     def __init__(self, host: str, port: int, max_clients: int, origins: Collection[str] = frozenset()) -> None:
         self._host, self._port = host, port
         self._max_clients, self._origins = max_clients, frozenset(origins)
-        self._topics: list[str] = []
-        self._advertised = ""
+        self._channels: list[dict[str, Any]] = []  # By their numbers
         self._clients: set[_Client] = set()
         self._connected = 0
         self._wanted: frozenset[str] = frozenset()
@@ -92,25 +99,12 @@ class FoxgloveSink:
         self._closing = asyncio.Event()
         self._thread: threading.Thread | None = None
 
-    def start(self, topics: Mapping[str, str]) -> None:
+    def start(self) -> None:
         try:
             import websockets.asyncio.server  # noqa: F401  # only to say that it is missing
         except ImportError as error:
             raise MissingExtraError("Foxglove needs websockets: install it with pip install 'tactune[live]'") from error
         logging.getLogger("websockets").addHandler(logging.NullHandler())  # a client that vanishes is no news
-        self._topics = list(topics)
-        channels = [
-            {
-                "id": number,
-                "topic": topic,
-                "encoding": "cdr",
-                "schemaName": kind,
-                "schema": definition(kind),
-                "schemaEncoding": "ros2msg",
-            }
-            for number, (topic, kind) in enumerate(topics.items())
-        ]
-        self._advertised = json.dumps({"op": "advertise", "channels": channels})
         started: Future[int] = Future()
         self._thread = threading.Thread(target=self._run, args=(started,), name="Foxglove", daemon=True)
         self._thread.start()
@@ -124,6 +118,9 @@ class FoxgloveSink:
                 f"Foxglove cannot listen on {self._host}, port {self._port} ({reason[:1].upper()}{reason[1:]}); "
                 "end the program that listens there, or choose another port and an address of this computer"
             ) from error
+
+    def announce(self, topics: Mapping[str, str]) -> None:
+        self._loop.call_soon_threadsafe(self._advertise, topics)
 
     def wanted(self) -> Collection[str]:
         return self._wanted
@@ -189,11 +186,8 @@ class FoxgloveSink:
             return
         client = _Client(connection)
         self._clients.add(client)
-        sending = asyncio.ensure_future(client.send_on())
+        sending = asyncio.ensure_future(client.send_on(self._channels))
         try:
-            info = {"op": "serverInfo", "name": "Tactune", "capabilities": [], "supportedEncodings": [], "metadata": {}}
-            await connection.send(json.dumps(info))
-            await connection.send(self._advertised)
             async for text in connection:
                 self._obey(client, text)
         except ConnectionClosed:
@@ -203,6 +197,13 @@ class FoxgloveSink:
             self._clients.discard(client)
             self._count()
 
+    def _advertise(self, topics: Mapping[str, str]) -> None:
+        for topic, kind in topics.items():
+            schema = {"schemaName": kind, "schema": definition(kind), "schemaEncoding": "ros2msg"}
+            self._channels.append({"id": len(self._channels), "topic": topic, "encoding": "cdr", **schema})
+        for client in self._clients:
+            client.has_waiting.set()
+
     def _obey(self, client: _Client, text: str | bytes) -> None:
         """Subscribe or unsubscribe as a client asks; what it says else means nothing here."""
         try:
@@ -210,9 +211,9 @@ class FoxgloveSink:
             if asked["op"] == "subscribe":
                 for each in asked["subscriptions"]:
                     number, channel = int(each["id"]), int(each["channelId"])
-                    full = len(client.subscriptions) >= _MAX_PER_TOPIC * len(self._topics)
-                    if 0 <= number < 2**32 and 0 <= channel < len(self._topics) and not full:
-                        client.subscriptions[number] = self._topics[channel]
+                    full = len(client.subscriptions) >= _MAX_PER_TOPIC * len(self._channels)
+                    if 0 <= number < 2**32 and 0 <= channel < len(self._channels) and not full:
+                        client.subscriptions[number] = self._channels[channel]["topic"]
             elif asked["op"] == "unsubscribe":
                 for number in asked["subscriptionIds"]:
                     client.subscriptions.pop(int(number), None)

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..model.arrays import AnyArray, Float32Array, Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
+from ..preset import Preset
 from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
@@ -58,7 +60,8 @@ _ARROW_RGBA: Final = (0.1, 0.45, 0.88, 1.0)
 #: Topics with one message, which players keep for late subscribers.
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
 
-#: Types of the topics of a force.
+#: Types of the topics of a patch, and of those of a force, which the pressure test alone has.
+PATCH_TOPICS: Final[dict[str, str]] = {Topic.PATCH: POINT_CLOUD, Topic.AREA: NUMBER, Topic.DOUBT: DIAGNOSTICS}
 FORCE_TOPICS: Final[dict[str, str]] = {Topic.WRENCH: WRENCH, Topic.RELATIVE_FORCE: VECTOR, Topic.FORCE_ARROW: MARKER}
 
 #: Types of the topics of a tracked object.
@@ -232,8 +235,22 @@ def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
     )
 
 
-def force_builders(patch: ContactPatch, stamp_ns: int) -> dict[str, Callable[[], bytes | None]]:
-    """Return by topic what builds each message of the force, or None where the contact test or its preset has none."""
+def topics_of(preset: Preset | None) -> dict[str, str]:
+    """Return the types of the topics of a preset's patches."""
+    has_force = preset is not None and preset.contact_test == "pressure"
+    return PATCH_TOPICS | (FORCE_TOPICS if has_force else {})
+
+
+def patch_builders(patch: ContactPatch, stamp_ns: int) -> dict[str, Callable[[], bytes | None]]:
+    """Return by topic what builds each message of a patch, or None where the contact test or its preset has none."""
+
+    def doubt() -> bytes:
+        values = {
+            "touch_probability": f"{patch.doubt.touch_probability:.4f}",
+            "boundary_error_mm": f"{patch.doubt.boundary_error_mm:.3f}",  # nan where it is not known
+            "doubt": ", ".join(patch.doubt.reasons),
+        }
+        return diagnostics("contact", values, stamp_ns)
 
     def of_newtons() -> bytes | None:
         place_m = patch.pressure_centre_m  # None: no contact, no force, no torque
@@ -242,10 +259,19 @@ def force_builders(patch: ContactPatch, stamp_ns: int) -> dict[str, Callable[[],
 
     facts = patch.pressure
     return {
+        Topic.PATCH: lambda: point_cloud(patch.points, stamp_ns, values={} if facts is None else facts.by_point()),
+        Topic.AREA: lambda: number(patch.area_mm2),
+        Topic.DOUBT: doubt,
         Topic.WRENCH: of_newtons,
         Topic.RELATIVE_FORCE: lambda: None if facts is None else vector(*facts.force_mm2, stamp_ns),
         Topic.FORCE_ARROW: lambda: None if facts is None else arrow(patch.force_arrow_m, stamp_ns),
     }
+
+
+def patch_parts(patch: ContactPatch, stamp_ns: int) -> dict[str, bytes]:
+    """Return the messages of a patch by topic."""
+    found = {topic: build() for topic, build in patch_builders(patch, stamp_ns).items()}
+    return {topic: data for topic, data in found.items() if data is not None}
 
 
 def number(value: float) -> bytes:
@@ -268,20 +294,27 @@ def frame_text(frame: SensorFrame) -> bytes:
     return text(json.dumps(frame.numbers(), allow_nan=False))
 
 
-def point_cloud(points: Float32Array, stamp_ns: int, frame_id: str = PROXIMITY_FRAME) -> bytes:
-    """Return a cloud of points in metres: (N, 3), or (H, W, 3) with nan where a pixel has no point."""
+def point_cloud(
+    points: Float32Array,
+    stamp_ns: int,
+    frame_id: str = PROXIMITY_FRAME,
+    values: Mapping[str, Float32Array] = MappingProxyType({}),
+) -> bytes:
+    """Return a cloud of points in metres: (N, 3), or (H, W, 3) with nan where a pixel has no point; values are (N,)."""
     height, width = points.shape[:2] if points.ndim == 3 else (1, len(points))
+    names, is_dense = ("x", "y", "z", *values), points.ndim == 2
+    points = np.column_stack([points, *values.values()]) if values else points
     field = _type("sensor_msgs/msg/PointField")
     message = _type(POINT_CLOUD)(
         header=_header(frame_id, stamp_ns),
         height=height,
         width=width,
-        fields=[field(name, 4 * i, field.FLOAT32, 1) for i, name in enumerate("xyz")],
+        fields=[field(name, 4 * i, field.FLOAT32, 1) for i, name in enumerate(names)],
         is_bigendian=False,
-        point_step=12,
-        row_step=12 * width,
+        point_step=4 * len(names),
+        row_step=4 * len(names) * width,
         data=np.empty(0, np.uint8),
-        is_dense=points.ndim == 2,
+        is_dense=is_dense,
     )
     frame = _serialise(message, POINT_CLOUD)  # ends with the length of the data and is_dense
     data = np.ascontiguousarray(points, "<f4").reshape(-1).view(np.uint8)

@@ -23,7 +23,7 @@ from ..errors import RigMismatchError
 from ..model.arrays import AnyArray, Float64Array, Uint16Array
 from ..model.clouds import deproject_image
 from ..model.frames import DepthCamera, SensorFrame
-from ..model.patch import Doubt, Lazy
+from ..model.patch import Lazy
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..sources.mcap.messages import (
@@ -37,15 +37,13 @@ from ..sources.mcap.messages import (
     Topic,
 )
 from . import messages
-from .messages import DIAGNOSTICS, FORCE_TOPICS, NUMBER, POSE_TOPICS, VECTOR
+from .messages import DIAGNOSTICS, FORCE_TOPICS, PATCH_TOPICS, POSE_TOPICS, VECTOR
 
 _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DEPTH, Topic.TACTILE_COLOR)
 
 #: Message type of every topic of a live connection.
 LIVE_TOPICS: Final[Mapping[str, str]] = {
-    Topic.PATCH: POINT_CLOUD,
-    Topic.AREA: NUMBER,
-    Topic.DOUBT: DIAGNOSTICS,
+    **PATCH_TOPICS,
     **FORCE_TOPICS,
     Topic.TILT: VECTOR,
     Topic.TILT_SIGMA: VECTOR,
@@ -99,13 +97,16 @@ class SinkStatus:
 
 
 class Sink(Protocol):
-    """One way out for messages. `wanted`, `send` and `close` are called on the sink's own thread, in turn."""
+    """One way out for messages. All but `start` and `status` are called on the sink's own thread, in turn."""
 
-    def start(self, topics: Mapping[str, str]) -> None:
-        """Announce topics, given with their types, and let clients connect; called once, before everything else.
+    def start(self) -> None:
+        """Let clients connect; called once, before everything else.
 
         Raises `PublishError` where that is not possible, `MissingExtraError` where a package is not installed.
         """
+
+    def announce(self, topics: Mapping[str, str]) -> None:
+        """Announce further topics, given with their types."""
 
     def wanted(self) -> Collection[str]:
         """Return the topics that somebody listens to now."""
@@ -161,15 +162,6 @@ def pose_messages(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -
     return Messages({topic: partial(parts.get, topic) for topic in parts}, stamp_ns)
 
 
-def doubt_values(doubt: Doubt) -> dict[str, str]:
-    """Return the doubt about a patch as text, with the names of `Doubt.record`."""
-    return {
-        "touch_probability": f"{doubt.touch_probability:.4f}",
-        "boundary_error_mm": f"{doubt.boundary_error_mm:.3f}",  # nan where it is not known
-        "doubt": ", ".join(doubt.reasons),
-    }
-
-
 def frame_messages(
     frame: SensorFrame,
     patch: ContactPatch,
@@ -189,9 +181,7 @@ def frame_messages(
             calibrated = tactile_pose(preset.alignment, rig)
         return messages.static_transforms(rig, stamp_ns, calibrated)
 
-    def angles(of: str) -> bytes | None:
-        if tilt is None:
-            return None
+    def angles(tilt: Lazy[dict[str, Any]], of: str) -> bytes:
         found = [tilt.get()[f"{angle}{of}_rad"] for angle in ("roll", "pitch", "axis")]
         roll, pitch, axis = (math.nan if angle is None else angle for angle in found)
         return messages.vector(roll, pitch, axis, stamp_ns)
@@ -212,19 +202,18 @@ def frame_messages(
         return b"".join(stream.parts(pixels, frame.sequence, time_ns))
 
     builders: dict[str, Callable[[], bytes | None]] = {
-        Topic.PATCH: lambda: messages.point_cloud(patch.points, stamp_ns),
-        Topic.AREA: lambda: messages.number(patch.area_mm2),
-        Topic.DOUBT: lambda: messages.diagnostics("contact", doubt_values(patch.doubt), stamp_ns),
-        **messages.force_builders(patch, stamp_ns),
-        Topic.TILT: lambda: angles(""),
-        Topic.TILT_SIGMA: lambda: angles("_sigma"),
+        **messages.patch_builders(patch, stamp_ns),
         Topic.STATIC_TRANSFORMS: transforms,
-        Topic.PROXIMITY_CLOUD: lambda: cloud(frame.proximity_depth, rig.proximity, stamp_ns, PROXIMITY_FRAME),
         Topic.TACTILE_CLOUD: lambda: cloud(frame.tactile_depth, rig.tactile, tactile_ns, TACTILE_FRAME),
         Topic.DIAGNOSTICS: diagnostics,
         Topic.FRAME: lambda: messages.frame_text(frame),
         Topic.RIG: lambda: messages.text(json_text(rig_to_json(rig))),
     }
+    if tilt is not None:
+        builders |= {Topic.TILT: partial(angles, tilt, ""), Topic.TILT_SIGMA: partial(angles, tilt, "_sigma")}
+    if rig.has_proximity:
+        near = frame.proximity_depth, rig.proximity, stamp_ns, PROXIMITY_FRAME
+        builders[Topic.PROXIMITY_CLOUD] = partial(cloud, *near)
     streams = messages.image_streams(rig)
     for topic, pixels in messages.images_of(frame, rig):
         stream = streams[topic]
@@ -247,7 +236,7 @@ class Publisher:
         self._outputs: list[_Output] = []
         try:
             for sink in sinks:
-                sink.start(LIVE_TOPICS)
+                sink.start()
                 self._outputs.append(_Output(sink))
         except BaseException:
             self.close()
@@ -327,6 +316,7 @@ class _Output:
         self.sink = sink
         self._changed = threading.Condition()
         self._waiting: dict[str, Messages] = {}  # "frame" and "pose"
+        self._announced: set[str] = set()
         self._closing = False
         self._sent: Counter[str] = Counter()
         self._missed = 0
@@ -373,6 +363,9 @@ class _Output:
             return kind, self._waiting.pop(kind)
 
     def _send(self, kind: str, built: Messages) -> None:
+        if new := {topic: LIVE_TOPICS[topic] for topic in built.builders if topic not in self._announced}:
+            self.sink.announce(new)
+            self._announced |= new.keys()
         wanted = [topic for topic in self.sink.wanted() if topic in built.builders]
         due = [topic for topic in wanted if self._is_due(topic, built.stamp_ns)]
         found = [message for topic in due if (message := built.get(topic)) is not None]

@@ -18,10 +18,11 @@ from typing import Any, Final, Self
 from mcap.writer import CompressionType, Writer
 
 from ..errors import ExportError, TactuneError
-from ..model.arrays import Float32Array, Float64Array
+from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers, taken, user_path
 from ..model.frames import Rig, SensorFrame
 from ..model.loading import untouched_bytes
+from ..model.patch import ContactPatch
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..preset.file import preset_json
@@ -31,7 +32,6 @@ from ..sources.mcap.messages import (
     FORMAT_VERSION,
     IMAGE,
     METADATA_NAME,
-    POINT_CLOUD,
     PRESET_NAME,
     RIG_NAME,
     TEXT,
@@ -40,7 +40,6 @@ from ..sources.mcap.messages import (
     Topic,
 )
 from .messages import (
-    FORCE_TOPICS,
     POSE_TOPICS,
     SAID_ONCE,
     STATIC_QOS,
@@ -50,11 +49,12 @@ from .messages import (
     image_streams,
     images_of,
     nanoseconds,
-    point_cloud,
+    patch_parts,
     pose_parts,
     stamped,
     static_transforms,
     text,
+    topics_of,
     type_hash,
 )
 
@@ -186,29 +186,23 @@ class _Output:
 
 
 class PatchWriter:
-    """Writes patches on ``/contact/patch``, and with ``poses`` those of an object on ``/object/pose`` and ``/tf``."""
+    """Writes patches, as live connections have them, and with ``poses`` those of an object."""
 
     def __init__(
         self, path: Path | str, rig: Rig, preset: Preset, frame_rate_hz: float, *, poses: bool = False
     ) -> None:
         self._clock = LogClock(1.0 / frame_rate_hz)
-        topics = {Topic.PATCH: POINT_CLOUD, **(POSE_TOPICS if poses else {})}
+        topics = topics_of(preset) | (POSE_TOPICS if poses else {})
         self._bag = Bag(path, topics, rig, preset, frame_rate_hz)
 
-    def write(
-        self,
-        points: Float32Array,
-        sequence: int,
-        time_s: float,
-        pose: tuple[Float64Array, Float64Array] | None = None,
-    ) -> None:
-        """Write one patch, (N, 3) in metres, and the pose of the object: (4, 4) and its covariance, (6, 6)."""
+    def write(self, patch: ContactPatch, time_s: float, pose: tuple[Float64Array, Float64Array] | None = None) -> None:
+        """Write one patch, and the pose of the object: (4, 4) and its covariance, (6, 6)."""
         stamp_ns = nanoseconds(time_s)
-        parts: dict[str, bytes] = {Topic.PATCH: point_cloud(points, stamp_ns)}
+        parts = patch_parts(patch, stamp_ns)
         if pose is not None:
             parts |= pose_parts(*pose, stamp_ns)
         messages: list[Message] = [(topic, stamp_ns, (data,)) for topic, data in parts.items()]
-        self._bag.write(sequence, self._clock.tick(stamp_ns), messages)
+        self._bag.write(patch.sequence, self._clock.tick(stamp_ns), messages)
 
     def close(self) -> None:
         """Finish the file, or remove one without a patch."""
@@ -285,7 +279,7 @@ class SessionWriter:
         poses: bool = False,
         results: Results | None = None,
     ) -> None:
-        self._rig, self._has_poses, self._results = rig, poses, results
+        self._rig, self._preset, self._has_poses, self._results = rig, preset, poses, results
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
         attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
@@ -356,7 +350,7 @@ class SessionWriter:
     def _topics(self) -> dict[str, str]:
         topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
         topics |= POSE_TOPICS if self._has_poses else {}
-        topics |= {Topic.PATCH: POINT_CLOUD, Topic.FINDINGS: TEXT, **FORCE_TOPICS} if self._results is not None else {}
+        topics |= {**topics_of(self._preset), Topic.FINDINGS: TEXT} if self._results is not None else {}
         for stream in self._streams.values():
             topics[stream.topic] = IMAGE
             if stream.lens is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..contact.pipeline import ContactPipeline
 from ..model.frames import SensorFrame
-from ..output.messages import force_builders, nanoseconds, point_cloud, text
+from ..output.messages import nanoseconds, patch_parts, text
 from ..output.writer import export_mcap
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
@@ -37,9 +37,7 @@ def share_mcap(
             found = examiner.findings(frame, patch, preset, untouched)
             sentences = "\n".join(finding.sentence for finding in found)
         number += 1
-        stamp_ns = nanoseconds(frame.proximity_time_s)
-        forces = {topic: data for topic, build in force_builders(patch, stamp_ns).items() if (data := build())}
-        return {Topic.PATCH: point_cloud(patch.points, stamp_ns), Topic.FINDINGS: text(sentences), **forces}
+        return patch_parts(patch, nanoseconds(frame.proximity_time_s)) | {Topic.FINDINGS: text(sentences)}
 
     return export_mcap(
         source,

@@ -41,6 +41,7 @@ from tactune.core.model.alignment import PointPair
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
 from tactune.core.model.frames import TrueStrain
+from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output.calibration_files import export_calibration
 from tactune.core.output.cloud_files import write_cloud
@@ -134,9 +135,11 @@ def record(path: Path, n: int) -> None:
 
 
 def write_patches(path: Path, n: int) -> None:
+    shape = RIG.proximity.intrinsics.shape
+    nothing = np.zeros(shape, np.uint8), AlignedDepth.empty(shape)
     with PatchWriter(path, RIG, Preset(), 30.0) as writer:
         for number in range(3):
-            writer.write(CLOUDS[n].points, number, number / 30)
+            writer.write(ContactPatch(number, CLOUDS[n].points, *nothing, RIG, {}), number / 30)
 
 
 def write_untouched(folder: Path, n: int) -> None:

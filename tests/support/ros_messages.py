@@ -18,12 +18,11 @@ def decoded(kind: str, data: bytes) -> Any:
     return decode(data)
 
 
-def points_of(cloud: Any) -> np.ndarray[Any, Any]:
-    """Return the points of a cloud, float32 (height, width, 3), and check how it describes them."""
-    assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
-        ("x", 0, 7, 1),
-        ("y", 4, 7, 1),
-        ("z", 8, 7, 1),
-    ]
-    assert (cloud.point_step, cloud.row_step, cloud.is_bigendian) == (12, 12 * cloud.width, False)
-    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
+def points_of(cloud: Any, *values: str) -> np.ndarray[Any, Any]:
+    """Return the points of a cloud, float32 (height, width, 3 + values), and check how it describes them."""
+    names = "x", "y", "z", *values
+    expected = [(name, 4 * place, 7, 1) for place, name in enumerate(names)]
+    assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == expected
+    step = 4 * len(names)
+    assert (cloud.point_step, cloud.row_step, cloud.is_bigendian) == (step, step * cloud.width, False)
+    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, len(names))

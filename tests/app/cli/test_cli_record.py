@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 
 from capture_sources import same_frame
 from ros_messages import points_of
-from tactune.core import ContactPipeline, load_preset, open_source
+from tactune.core import ContactPipeline, Preset, load_preset, open_source
+from tactune.core.preset.file import save_preset
+from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.mcap.source import McapSource
 
 
@@ -70,19 +73,39 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path, recor
     assert f"wrote {out}\n" in done.out
     with out.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        clouds = [(channel.topic, message, cloud) for _, channel, message, cloud in reader.iter_decoded_messages()]
+        clouds = [(message, cloud) for _, _, message, cloud in reader.iter_decoded_messages(["/contact/patch"])]
+        assert set(reader.get_summary().statistics.channel_message_counts.values()) == {len(clouds)}
     with open_source(str(recording)) as source:
         pipeline = ContactPipeline(load_preset("default"), source.rig)
-        for frame, (topic, message, cloud) in zip(source, clouds, strict=True):
-            assert topic == "/contact/patch"
+        for frame, (message, cloud) in zip(source, clouds, strict=True):
             stamp = cloud.header.stamp
             assert stamp.sec * 10**9 + stamp.nanosec == round(frame.proximity_time_s * 1e9)
             assert message.sequence == frame.sequence
             assert cloud.header.frame_id == "proximity_depth_optical_frame" and cloud.is_dense
             np.testing.assert_array_equal(points_of(cloud)[0], pipeline.process(frame).points)
-    assert len(clouds[-1][2].data) > 0
+    assert len(clouds[-1][1].data) > 0
     assert "patches.mcap is already there" in tactune("run", "-s", recording, "--out", out).sentence
-    assert "its topics are /contact/patch" in tactune("run", "-s", out, "--json").sentence
+    assert "its topics are /contact/area_mm2, /contact/doubt, /contact/patch" in tactune("run", "-s", out).sentence
+
+
+def test_a_bag_of_patches_holds_their_force_and_pressure(tmp_path, tactune):
+    source, out, gauge_pa = "sim:cup?press=medium&cameras=tactile", tmp_path / "force.mcap", 2000.0
+    preset = Preset(contact_test="pressure").with_value("pressure.gauge_pa", gauge_pa)
+    save_preset(preset, tmp_path / "a.json")
+    assert tactune("run", "-s", source, "-p", tmp_path / "a.json", "-n", 1, "-o", out).status == 0
+    with open_source(source) as opened:
+        patch = ContactPipeline(preset, opened.rig, untouched_frame(opened)).process(opened.next_frame())
+    with AnyReader([out]) as reader:
+        seen = {of.topic: reader.deserialize(data, of.msgtype) for of, _, data in reader.messages()}
+    force = seen["/contact/wrench"].wrench.force
+    assert (force.x, force.y, force.z) == patch.force_n
+    assert seen["/contact/relative_force_mm2"].vector.z == patch.pressure.force_mm2[2]
+    assert len(seen["/contact/force_arrow"].points) == 2
+    reasons = next(pair.value for pair in seen["/contact/doubt"].status[0].values if pair.key == "doubt")
+    assert reasons == ", ".join(patch.doubt.reasons) != ""
+    values = points_of(seen["/contact/patch"], "relative_pressure", "pressure_pa")[0]
+    np.testing.assert_array_equal(values[:, :3], patch.points)
+    np.testing.assert_array_equal(values[:, 4], patch.pressure_pa[patch.mask])
 
 
 def test_sigterm_ends_a_live_source_with_a_whole_file(tmp_path, recording):

@@ -57,7 +57,7 @@ def test_patches_and_poses_together_as_ros_reads_them(tactune, cup, tmp_path):
         found = {}
         for _, channel, message, decoded in read:
             found.setdefault(channel.topic, {})[message.sequence] = decoded
-    assert sorted(found) == ["/contact/patch", "/object/pose", "/tf"]
+    assert sorted(found) == ["/contact/area_mm2", "/contact/doubt", "/contact/patch", "/object/pose", "/tf"]
     assert list(found["/contact/patch"]) == list(FRAMES)
     stamped = found["/object/pose"][FRAMES[-1]]
     pose, transform = stamped.pose.pose, found["/tf"][FRAMES[-1]].transforms[0]

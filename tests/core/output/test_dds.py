@@ -14,7 +14,7 @@ from fast_dds import FastDds
 from ros_messages import points_of
 from tactune.core.errors import PublishError
 from tactune.core.output.dds import DdsSink
-from tactune.core.output.publisher import LIVE_TOPICS, Publisher
+from tactune.core.output.publisher import Publisher
 
 PERIOD_S = 1 / 30
 
@@ -125,4 +125,4 @@ def test_what_ros_does_not_allow_is_refused(options, sentence):
 def test_an_address_that_this_computer_does_not_have_is_named(domain):
     sink = DdsSink(domain, host="192.0.2.77")
     with pytest.raises(PublishError, match=r"no network interface with the address 192\.0\.2\.77"):
-        sink.start(LIVE_TOPICS)
+        sink.start()

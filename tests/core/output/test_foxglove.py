@@ -17,7 +17,8 @@ TOPIC = "/a"
 @pytest.fixture
 def sink():
     sink = FoxgloveSink("127.0.0.1", 0, max_clients=2, origins=("https://app.foxglove.dev",))
-    sink.start({TOPIC: NUMBER})
+    sink.start()
+    sink.announce({TOPIC: NUMBER})
     yield sink
     sink.close()
 

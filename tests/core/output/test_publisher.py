@@ -11,6 +11,7 @@ from ros_messages import decoded, points_of
 from tactune.core.errors import PublishError
 from tactune.core.estimation.tilt import Tilt
 from tactune.core.model.clouds import deproject
+from tactune.core.model.frames import Rig, SensorFrame, Shot
 from tactune.core.model.patch import ContactPatch, Lazy, PressureFacts
 from tactune.core.output.publisher import LIVE_TOPICS, Publisher, SinkStatus, frame_messages, pose_messages
 
@@ -46,9 +47,8 @@ def test_every_topic_arrives_bit_for_bit(processed):
     seen = {message.topic: decoded(message.type, message.data) for message in found if message is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
-    force = seen["/contact/wrench"].wrench.force
+    force, torque = seen["/contact/wrench"].wrench.force, seen["/contact/wrench"].wrench.torque
     assert (force.x, force.y, force.z) == pytest.approx((0.15, 0.0, -3.0))
-    torque = seen["/contact/wrench"].wrench.torque
     centre = patch.points.mean(axis=0, dtype=np.float64)
     assert (torque.x, torque.y, torque.z) == pytest.approx(np.cross(centre, (0.15, 0.0, -3.0)), abs=1e-6)
     assert seen["/contact/relative_force_mm2"].vector.z == -2000.0
@@ -58,7 +58,8 @@ def test_every_topic_arrives_bit_for_bit(processed):
     assert start == pytest.approx(tuple(centre), abs=1e-6)
     assert np.cross(np.subtract(end, start), (100.0, 0.0, -2000.0)) == pytest.approx(0.0, abs=1e-9)
     assert len(patch.points) > 1000
-    assert np.array_equal(points_of(seen["/contact/patch"])[0], patch.points)
+    expected = np.column_stack([patch.points, np.tile(np.float32([1.0, 1500.0]), (len(patch.points), 1))])
+    assert np.array_equal(points_of(seen["/contact/patch"], "relative_pressure", "pressure_pa")[0], expected)
     assert seen["/contact/area_mm2"].data == patch.area_mm2
     for name, camera in (("proximity", patch.rig.proximity), ("tactile", patch.rig.tactile)):
         counts = getattr(frame, f"{name}_depth")
@@ -96,7 +97,7 @@ class Collecting:
     """A sink that keeps messages; it can be told to wait before it sends, or to fail."""
 
     def __init__(self, wanted):
-        self.topics = wanted
+        self.topics, self.announced = wanted, {}
         self.messages = []
         self.gate = threading.Event()
         self.gate.set()
@@ -105,9 +106,11 @@ class Collecting:
         self.arrived = threading.Condition()
         self.is_open = False
 
-    def start(self, topics):
-        assert topics == LIVE_TOPICS
+    def start(self):
         self.is_open = True
+
+    def announce(self, topics):
+        self.announced |= topics
 
     def wanted(self):
         return self.topics
@@ -168,6 +171,25 @@ def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(processed):
     assert decoded(pose.type, pose.data).pose.pose.position.y == 0.2
 
 
+def test_a_topic_is_announced_once_a_frame_has_it(processed):
+    frame, patch, preset = processed
+    rig = Rig.of_one_camera(patch.rig.tactile)
+    alone = SensorFrame.of_shots(rig, 0, None, Shot(frame.tactile_depth, frame.tactile_color, 0.0))
+    of_one = ContactPatch(0, np.empty((0, 3), np.float32), patch.provenance, patch.aligned, rig, {})
+    sink = Collecting(["/tactile/points"])
+    with Publisher([sink]) as publisher:
+        publisher.put(alone, of_one, preset)
+        sink.wait_for(lambda messages: len(messages) == 1)
+        assert "/tactile/depth/image" in sink.announced
+        assert not [topic for topic in sink.announced if "proximity" in topic or "tilt" in topic or "object" in topic]
+        publisher.put(*processed, Lazy(TILT.record))
+        sink.wait_for(lambda messages: len(messages) == 2)
+        publisher.put_pose(np.eye(4), np.eye(6), frame.proximity_time_s)
+        publisher.put(*processed)
+        sink.wait_for(lambda messages: len(messages) == 3)
+    assert sink.announced == LIVE_TOPICS
+
+
 def test_nothing_is_built_for_nobody(processed):
     frame, patch, preset = processed
 
@@ -190,7 +212,7 @@ def test_nothing_is_built_for_nobody(processed):
 def test_a_sink_that_cannot_start_closes_the_others():
     first, second = Collecting([]), Collecting([])
 
-    def refuse(topics):
+    def refuse():
         raise PublishError("port 8765 is taken")
 
     second.start = refuse

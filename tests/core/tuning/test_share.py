@@ -48,23 +48,6 @@ def test_other_readers_see_patch_and_findings(shared):
         assert sum(1 for _ in bag.messages([connection])) == COUNT
 
 
-def test_rosbags_reads_the_wrench_and_the_arrow_of_each_frame(shared, tmp_path):
-    path, frames, preset, untouched = shared
-    known = preset.with_values({"contact_test": "pressure", "pressure.gauge_pa": 1500.0})
-    with McapSource(path) as source:
-        share_mcap(source, tmp_path / "force.mcap", None, known, untouched)
-        pipeline = ContactPipeline(known, source.rig, untouched)
-    forces = [pipeline.process(frame).force_n for frame in frames]
-    with AnyReader([tmp_path / "force.mcap"]) as bag:
-        wanted = [each for each in bag.connections if each.topic in ("/contact/wrench", "/contact/force_arrow")]
-        read = [bag.deserialize(data, connection.msgtype) for connection, _, data in bag.messages(wanted)]
-    wrenches = [each.wrench for each in read if hasattr(each, "wrench")]
-    assert [(each.force.x, each.force.y, each.force.z) for each in wrenches] == forces
-    assert all(force[2] < -1.0 for force in forces), "towards the cameras"
-    arrows = [each.points for each in read if hasattr(each, "points")]
-    assert [end.z < start.z for start, end in arrows] == [True] * COUNT
-
-
 def test_tactune_opens_it_with_preset_and_untouched_frame(shared):
     path, frames, preset, untouched = shared
     with McapSource(path) as recording:
