@@ -7,6 +7,7 @@ Nothing is mirrored at the rim: cells without enough membrane in their window ha
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -90,26 +91,34 @@ def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool =
     """Fit a quadratic to the depth about each cell, in a Gaussian window of ``sigma`` cells."""
     import cv2
 
-    reach = math.ceil(2.5 * sigma)
-    steps = np.arange(-reach, reach + 1.0)
-    window = np.exp(-(steps**2) / (2 * sigma**2))
-    window /= window.sum()
-    powers = [window * (steps / sigma) ** power for power in range(5)]
+    powers, variance = _window(sigma)
 
-    def average(image: Float64Array, x: int, y: int) -> Float64Array:
-        return np.asarray(cv2.sepFilter2D(image, cv2.CV_64F, powers[x], powers[y], borderType=cv2.BORDER_CONSTANT))
+    def averages(image: Float64Array, of: tuple[tuple[int, int], ...]) -> Float64Array:
+        found = np.empty((len(of), *image.shape))
+        for plane, (x, y) in zip(found, of, strict=True):
+            cv2.sepFilter2D(image, cv2.CV_64F, powers[x], powers[y], dst=plane, borderType=cv2.BORDER_CONSTANT)
+        return found
 
-    moments = np.stack([average(share, x, y) for x, y in _MOMENTS])
-    weighted = share * depth_m
-    right = np.stack([average(weighted, x, y) for x, y in _POWERS])
+    moments, right = averages(share, _MOMENTS), averages(share * depth_m, _POWERS)
     seen = moments[0]
     found, growth = np.empty_like(right), np.empty_like(seen)
     usable = seen > (_WINDOW_SHARE if curved else _DEPTH_SHARE)
     solve_quadrics(moments, _PLACES, right, usable, np.empty((7, 6)), found, growth)
     scale = np.array([1.0, sigma, sigma, sigma**2, sigma**2, sigma**2])[:, None, None]
+    return Shape(found / scale, seen, np.sqrt(np.maximum(growth / variance, 1.0)))
+
+
+@lru_cache(maxsize=8)
+def _window(sigma: float) -> tuple[list[Float64Array], float]:
+    """Return a Gaussian window times powers of the way from its centre, and the variance of the curvature by it."""
+    reach = math.ceil(2.5 * sigma)
+    steps = np.arange(-reach, reach + 1.0)
+    window = np.exp(-(steps**2) / (2 * sigma**2))
+    window /= window.sum()
+    powers = [window * (steps / sigma) ** power for power in range(5)]
     sums = [power.sum() for power in powers]
     whole = np.linalg.inv([[sums[a + c] * sums[b + d] for c, d in _POWERS] for a, b in _POWERS])
-    return Shape(found / scale, seen, np.sqrt(np.maximum(growth / (whole[3, 3] + whole[5, 5]), 1.0)))
+    return powers, float(whole[3, 3] + whole[5, 5])
 
 
 def curvature(shape: Shape, grid: Grid) -> tuple[Float64Array, Float64Array]:
@@ -152,13 +161,20 @@ def balance(points: Float64Array, weight: Float64Array, pressure: Float64Array) 
         mean = sum(weights[1:], weights[0]) / 3
         used = (mean > 0) & np.isfinite(corners[0] + corners[1] + corners[2]).all(axis=-1)
         a, b, c = (corner[used] for corner in corners)
-        normal = np.cross(b - a, c - a)
+        normal = _cross(b - a, c - a)
         found.air[:] += mean[used] @ normal / 2
         found.pressed[:] += sum(loads[1:], loads[0])[used] @ normal / 6
         unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         sides = zip(weights, (c - b, a - c, b - a), strict=True)
-        found.pull[:] += np.cross(unit, sum(each[used, None] * side for each, side in sides)).sum(axis=0) / 2
+        pulled = np.sum([each[used, None] * side for each, side in sides], axis=0)
+        found.pull[:] += _cross(unit, pulled).sum(axis=0) / 2
     return found
+
+
+def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
+    """Return the cross product of vectors, (N, 3); `numpy.cross` takes longer for some thousand of them."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def _corner(image: Float64Array, row: int, column: int) -> Float64Array:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ...errors import RigMismatchError
-from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
+from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, median
 from ...model.clouds import valid_depth
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
@@ -97,12 +97,14 @@ class PressureTest(ContactTest):
         rest, now = self._rest, self._now
         assert rest is not None
         if due("contact"):
+            from ..outliers.clusters import keep  # loads kernels
+
             self._touching = now.contact(preset.pressure)
             self._seen = NO_CANDIDATES
             if self._touching.any():
                 self._seen = pixels.candidates(frame, _BOTH_SHARE, self._place(rest))
             inside = self._at_pixels(self._touching, frame, self._seen)
-            self._pressed = Candidates(self._seen.pixels[inside], self._seen.points[inside])
+            self._pressed = keep(self._seen, inside)
         if due("clusters"):
             from ..outliers.clusters import without_small_clusters  # loads kernels
 
@@ -304,7 +306,7 @@ class _Now:
             at_rim = bool(((weight > 0) & ~inner).any())
             weight *= inner  # at the rim the clamp's pull ends the balance
             free = (away > _MARGIN) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
-            bulge = float(np.median(self.bulge_per_m[free])) if free.any() else math.nan
+            bulge = median(self.bulge_per_m[free])
             bulge = bulge if bulge > 0 else math.nan  # where it is flat, nothing tells its tension
             air, pull, pressed = surface.balance(rest.grid.points(depth_m), weight, np.nan_to_num(self.relative))
             force, by_area = pull / bulge - air, -pressed
@@ -319,10 +321,9 @@ class _Now:
             # a force that is not known disagrees with nothing
             agrees = not np.linalg.norm(force - by_area) >= _APART_SIGMAS * np.linalg.norm(sigma)
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
-        usual = self._sigma[np.isfinite(self._sigma)]
         return PressureFacts(
             **images,
-            relative_sigma=float(np.median(usual)) / self.grown if len(usual) and self.grown > 0 else math.nan,
+            relative_sigma=median(self._sigma) / self.grown if self.grown > 0 else math.nan,
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
             inflation_pa=section.gauge_pa,
@@ -349,10 +350,10 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
         return 1.0, nothing, 1.0
     free, grown, scatter = known, 1.0, 1.0
     for _ in range(4):
-        grown = float(np.median(ratio[free]))
+        grown = median(ratio[free])
         with np.errstate(invalid="ignore", divide="ignore"):
             away = (ratio - grown) / sigma
-        scatter = 1.48 * float(np.median(np.abs(away[free])))
+        scatter = 1.48 * median(np.abs(away[free]))
         with np.errstate(invalid="ignore"):
             # both ends are cut, lest the rest be one-sided; a contact is left out with what surrounds it
             pressed = known & (away < -_CUT * scatter)
