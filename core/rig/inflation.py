@@ -17,8 +17,9 @@ from ..model.patch import ContactPatch
 
 #: The force of a press stands out of its noise by this many standard deviations.
 _SIGMAS: Final = 3.0
-#: Error of the relative force that all presses of a rig share, and largest residual of presses that fit together.
-_SHARED_ERROR, _LARGEST_RESIDUAL = 0.05, 0.5
+#: Error of the relative force that all presses of a rig share, larger by a factor where one is weak, and largest
+#: residual of presses that fit together.
+_SHARED_ERROR, _WEAKER, _LARGEST_RESIDUAL = 0.05, 2.0, 0.5
 _COLUMNS: Final = "frame,force_n or time_s,force_n"
 
 
@@ -29,6 +30,7 @@ class Press(NamedTuple):
     force_n: float
     area_mm2: float  # Force over inflation
     area_sigma_mm2: float
+    weak: tuple[str, ...] = ()  # Why its force may be off by more, in words
 
     @classmethod
     def of(cls, patch: ContactPatch, frame: int, force_n: float) -> Press:
@@ -51,7 +53,8 @@ class Press(NamedTuple):
             raise CalibrationError(
                 f"no press stands out of the noise in frame {frame}; press more firmly, with some 1,000 mm2 of contact"
             )
-        return cls(frame, force_n, area, spread)
+        reasons = {"at the rim": facts.at_rim, "noise not measured": not facts.noise_known}
+        return cls(frame, force_n, area, spread, tuple(reason for reason, so in reasons.items() if so))
 
 
 class Inflation(NamedTuple):
@@ -61,6 +64,7 @@ class Inflation(NamedTuple):
     sigma_pa: float
     residual_n: float  # Root mean square
     presses: int
+    weak: tuple[str, ...]  # Of any press
 
     @property
     def changes(self) -> dict[str, float]:
@@ -71,7 +75,8 @@ class Inflation(NamedTuple):
     def sentence(self) -> str:
         left = "" if self.presses == 1 else f"; the forces differ from the fit by {self.residual_n:.2g} N"
         plural = "press" if self.presses == 1 else "presses"
-        return f"inflation {self.pascals:,.0f} ± {self.sigma_pa:,.0f} Pa from {self.presses} {plural}{left}"
+        weak = f"; doubtful, since {' and '.join(self.weak)}" if self.weak else ""
+        return f"inflation {self.pascals:,.0f} ± {self.sigma_pa:,.0f} Pa from {self.presses} {plural}{left}{weak}"
 
 
 def fit_inflation(presses: Sequence[Press]) -> Inflation:
@@ -96,8 +101,10 @@ def fit_inflation(presses: Sequence[Press]) -> Inflation:
             f"{np.mean(force_n):.2g} N; look whether each force belongs to its frame, and whether the scale was at zero"
         )
     spread_pa = math.sqrt(float(weight @ left_n**2) / known) if count > 1 else 0.0
-    sigma_pa = math.hypot(max(pascals / math.sqrt(known), spread_pa), _SHARED_ERROR * pascals)
-    return Inflation(pascals, sigma_pa, residual_n, count)
+    weak = tuple(sorted({reason for press in presses for reason in press.weak}))
+    shared_pa = _SHARED_ERROR * pascals * (_WEAKER if weak else 1.0)
+    sigma_pa = math.hypot(max(pascals / math.sqrt(known), spread_pa), shared_pa)
+    return Inflation(pascals, sigma_pa, residual_n, count, weak)
 
 
 class Forces(NamedTuple):

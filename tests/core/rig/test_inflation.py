@@ -43,7 +43,10 @@ def test_a_press_of_the_simulator_tells_its_pressure():
         frame, untouched, rig = source.next_frame(), untouched_frame(source), source.rig
     truth = frame.truth
     patch = ContactPipeline(Preset(contact_test="pressure"), rig, untouched).process(frame)
-    found = fit_inflation([Press.of(patch, 7, float(np.linalg.norm(truth.force_n)))])
+    press = Press.of(patch, 7, float(np.linalg.norm(truth.force_n)))
+    found = fit_inflation([press])
+    assert press.weak == ("noise not measured",) and press.weak[0] in found.sentence
+    assert found.sigma_pa > 1.3 * fit_inflation([press._replace(weak=())]).sigma_pa
     assert abs(found.pascals - truth.inflation_pa) < 2 * found.sigma_pa
     assert Preset().with_values(found.changes).pressure.gauge_pa == pytest.approx(found.pascals, abs=0.01)
     at_rest = ContactPipeline(Preset(contact_test="pressure"), rig, untouched).process(untouched)
