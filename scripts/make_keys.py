@@ -11,7 +11,7 @@ MOUSE = (
     ("Drag in a view", "orbit all views"),
     ("Shift + drag, middle button", "pan"),
     ("Wheel", "zoom, in views and images"),
-    ("Double click in a view or image", "enlarge it, or go back"),
+    ("Double click in a view or image", "swap it with the patch, or go back"),
     ("Drag the line between A and B", "move the wipe while presets are compared"),
     ("Click or drag in the time strip", "seek"),
     ("Eyedropper, then click in the colour image", "set the mask to the prints' colour"),

@@ -401,7 +401,7 @@ class MainWindow(QMainWindow):
         bring_up(self.force)
 
     def _show_color_image(self) -> None:
-        if self.views.enlarged is not self.strip.panes["color"]:
+        if self.views.large is not self.strip.panes["color"]:
             self.views.back()
         self.actions_.show_strip.setChecked(True)
         self.strip.choose("color")

@@ -59,8 +59,8 @@ _NO_PRESSURE = f"{_COLORS_TIP}. Pressure is a choice with the contact test press
 class ViewArea(QWidget):
     """Both cameras and the images at the left, the patch at the right; orbit one cloud and all follow.
 
-    A double click enlarges a view or an image to the whole area, and another one brings the rest back; what is hidden
-    is not drawn.
+    A double click gives the patch's place to a view or an image, and the patch takes the other place; another double
+    click puts both back. What is hidden is not drawn.
     """
 
     wantedChanged = pyqtSignal()  # the colours were changed, or a view was shown or hidden
@@ -79,8 +79,8 @@ class ViewArea(QWidget):
         self._result: Result | None = None
         self._framed: SourceInfo | None = None
         self._two_cameras = True
-        #: The enlarged view or image; None while all are shown.
-        self.enlarged: QWidget | None = None
+        #: The view or image in the large place.
+        self.large: QWidget = self.views[CloudName.PATCH]
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
         for view in self.views.values():
@@ -128,6 +128,10 @@ class ViewArea(QWidget):
         vbox(self._choices, (self._rows, 1), within=self._side, margins=0, spacing=4)
         self._across = splitter(Qt.Orientation.Horizontal, (self._side, 1), (self.views[CloudName.PATCH], 1))
         vbox(self._across, within=self, margins=0)
+        patch = self.views[CloudName.PATCH]
+        of_cameras = [(self._cameras, number, view) for number, view in enumerate(cameras)]
+        #: Where each part stands while the patch is the large one.
+        self._places = [*of_cameras, (self._rows, 1, self.strip), (self._across, 1, patch)]
         self.splitters = {"views/cameras": self._cameras, "views/rows": self._rows, "views/across": self._across}
         for each in self.splitters.values():
             each.splitterMoved.connect(self._fit_legends)
@@ -139,32 +143,39 @@ class ViewArea(QWidget):
         self._cameras.setSizes([5_000, 5_000])
 
     def enlarge(self, part: QWidget) -> None:
-        """Let a view or an image take the whole area, or bring the rest back."""
-        self.enlarged = part if self.enlarged is None else None
+        """Let the patch change places with a view or an image, or put the large one back."""
+        self.large = self.views[CloudName.PATCH] if part is self.large else part
         self._arrange()
 
     def back(self) -> bool:
-        """Show all views and images again; return whether one was enlarged."""
-        if self.enlarged is None:
+        """Give the patch its place again; return whether another part had it."""
+        if self.large is self.views[CloudName.PATCH]:
             return False
-        self.enlarge(self.enlarged)
+        self.enlarge(self.large)
         return True
 
     def _toggled(self) -> None:
-        self.enlarged = None
+        self.large = self.views[CloudName.PATCH]
         self._arrange()
 
     def _arrange(self) -> None:
-        large = self.enlarged
+        patch = self.views[CloudName.PATCH]
+        image = next((name for name, pane in self.strip.panes.items() if pane is self.large), "")
+        large = self.strip if image else self.large
+        sizes = [each.saveState() for each in self.splitters.values()]
+        for room, place, own in self._places:
+            part = large if own is patch else patch if own is large else own
+            if room.widget(place) is not part:
+                room.insertWidget(place, part)
+        for each, state in zip(self.splitters.values(), sizes, strict=True):
+            each.restoreState(state)
         for name, view in self.views.items():
-            view.setVisible(self.chosen(name) if large is None else view is large)
-        image = next((name for name, pane in self.strip.panes.items() if pane is large), "")
+            view.setVisible(self.chosen(name))
         self.strip.enlarge(image)
-        self.strip.setVisible(self._actions.show_strip.isChecked() if large is None else bool(image))
-        of_cameras = any(not self.views[name].isHidden() for name in (CloudName.PROXIMITY, CloudName.TACTILE))
-        self._cameras.setVisible(of_cameras)
-        self._choices.setVisible(large is None)
-        self._side.setVisible(of_cameras or not self.strip.isHidden())
+        self.strip.setVisible(bool(image) or self._actions.show_strip.isChecked())
+        for room, shown in ((self._cameras, self._cameras), (self._rows, self._side)):
+            shown.setVisible(any(part is not None and not part.isHidden() for part in map(room.widget, (0, 1))))
+        self._fit_legends()
         self.wantedChanged.emit()
 
     def chosen_colors(self) -> ColorBy:
@@ -251,8 +262,8 @@ class ViewArea(QWidget):
             view.set_legend(legend)
 
     def _fit_legends(self) -> None:
-        level([self.views[name].legend_line for name in (CloudName.PROXIMITY, CloudName.TACTILE)])
-        level([self.views[CloudName.PATCH].legend_line])
+        for large in (False, True):
+            level([view.legend_line for view in self.views.values() if (view is self.large) is large])
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)

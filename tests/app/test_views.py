@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint, QSize, Qt
+from PyQt6.QtCore import QPoint, QRect, QSize, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 
@@ -51,6 +51,10 @@ def membrane(window):
     return points[points[:, 2] < 1.0]
 
 
+def place(window, widget):
+    return QRect(widget.mapTo(window, QPoint()), widget.size())
+
+
 def shows_all(window):
     shown = {name for name, view in window.views.views.items() if view.isVisible()}
     return shown == set(CloudName) and any(pane.isVisible() for pane in window.strip.panes.values())
@@ -82,30 +86,29 @@ def test_zoom_to_patch_fills_the_view_with_the_patch_and_is_off_without_one(wind
     qtbot.waitUntil(lambda: not window.actions_.zoom_to_patch.isEnabled())
 
 
-@pytest.mark.parametrize("name", ["patch", "tactile image"])
-def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, qtbot, name):
+@pytest.mark.parametrize("name", ["proximity", "tactile", "tactile image"])
+def test_a_double_click_swaps_a_view_or_image_with_the_patch_and_another_swaps_back(window, qtbot, name):
     window.strip.choose("tactile")
-    pane = window.strip.panes["tactile"]
-    target = canvas(window, PATCH) if name == "patch" else pane.view.viewport()
-    part = window.views.views[PATCH] if name == "patch" else pane
-    width = part.width()
+    pane, views = window.strip.panes["tactile"], window.views.views
+    part = pane if name == "tactile image" else views[CloudName(name)]
+    target = pane.view.viewport() if part is pane else canvas(window, CloudName(name))
+    patch, before = views[PATCH], place(window, part)
+    large = place(window, patch)
     double_click(target)
-    qtbot.waitUntil(lambda: part.width() > 1.5 * width)
-    others = [*window.views.views.values(), *window.strip.panes.values()]
-    assert [other for other in others if other.isVisible()] == [part]
-    # What is hidden is not drawn, and an image is drawn as finely as it is shown.
-    edited = window.document.preset.with_values({"tolerance.t": 0.02})
-    window.document.edit("tolerance.t", 0.02)
-    qtbot.waitUntil(lambda: window.result.preset == edited)
-    drawn = window.result.rendered
-    assert set(drawn.clouds) == ({PATCH} if name == "patch" else set())
-    assert (drawn.strip is None) == (name == "patch")
-    if name == "patch":
+    small = window.strip if part is pane else part
+    qtbot.waitUntil(lambda: place(window, patch).right() < place(window, small).left())
+    assert abs(place(window, small).width() - large.width()) <= 1
+    assert all(view.isVisible() for view in views.values())
+    if part is pane:  # alone, without tabs
+        assert [each for each in window.strip.panes.values() if each.isVisible()] == [pane]
+    # A third part takes the large place from the second.
+    double_click(canvas(window, TACTILE if name == "proximity" else PROXIMITY))
+    qtbot.waitUntil(lambda: place(window, views[TACTILE if name == "proximity" else PROXIMITY]) == large)
+    if name == "proximity":
         QTest.keyClick(window, Qt.Key.Key_Escape)
     else:
-        double_click(target)
-    qtbot.waitUntil(lambda: shows_all(window) and part.width() == width)
-    qtbot.waitUntil(lambda: set(window.result.rendered.clouds) == set(CloudName))
+        double_click(canvas(window, PROXIMITY))
+    qtbot.waitUntil(lambda: shows_all(window) and place(window, patch) == large and place(window, part) == before)
 
 
 @pytest.mark.parametrize("size", [(960, 500), (1024, 700), (1920, 1080)])

@@ -50,7 +50,7 @@ class CloudView(QWidget):
     """Title, number of points, the cloud itself and a legend.
 
     Until somebody steers it, the camera frames the cloud by itself, and again whenever the view is resized. One that
-    ``inspects`` also reports the point under the mouse, and a double click enlarges it instead of resetting it.
+    ``inspects`` also reports the point under the mouse, and a double click asks for the large place.
     """
 
     #: The wipe was dragged; carries the share of the width left of it.
@@ -89,12 +89,13 @@ class CloudView(QWidget):
         self._notice.button.clicked.connect(self.offerPressed)
         parts = self._header, (self.canvas, 1), self.legend_line
         vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
-        self.set_wipe(None)
+        for widget in (self, self.canvas):
+            widget.setMouseTracking(inspects)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
         self.setToolTip(
             "<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom, "
-            f"<b>double click</b> to {'enlarge' if inspects else 'reset'}.</p>"
+            f"<b>double click</b> to {'swap with the patch' if inspects else 'reset'}.</p>"
             "<p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, "
             f"<b>S</b> side{', <b>Z</b> zoom to the patch' if inspects else ''}.</p>"
         )
@@ -121,6 +122,8 @@ class CloudView(QWidget):
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the view between two clouds seen by the same camera, or show only one."""
+        if wipe == self.canvas.wipe:
+            return
         self.canvas.wipe = wipe
         if wipe is None:
             self.canvas.right, self._right_message = None, ""
