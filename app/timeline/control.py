@@ -12,12 +12,14 @@ from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
 from ..context import Context
-from ..worker.results import Result, SourceInfo
+from ..worker.results import Pace, Result, SourceInfo
 from .series import FrameValues, Series, frame_values
 from .series_job import SeriesJob
 
 #: Rest after a change of the preset before its series is computed, in ms: a drag changes it many times.
 _REST_MS = 500
+#: Interval between movements of the cursor while frames play, seconds.
+_CURSOR_S = 0.1
 #: Interval between updates of a live strip, in ms.
 _LIVE_MS = 200
 #: Fields of a preset that no patch depends on.
@@ -41,6 +43,7 @@ class Timeline(QObject):
         self._rest.setSingleShot(True)
         self._rest.setInterval(_REST_MS)
         self._rest.timeout.connect(self._compute)
+        self._pace = Pace(_CURSOR_S)
         self._scroll = QTimer(self)
         self._scroll.setInterval(_LIVE_MS)
         self._scroll.timeout.connect(self._show_live)
@@ -159,7 +162,7 @@ class Timeline(QObject):
             return
         if result.source.length is None:
             self._note_live(result)
-        else:
+        elif self._pace.due(result):
             self._strip.set_cursor(result.playback.index)
 
     def _note_live(self, result: Result) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 from PyQt6.QtCore import QObject
 
@@ -17,7 +16,7 @@ from ...widgets.basics.theme import theme_name
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context
-from ..worker.results import CloudName, Result, SourceState
+from ..worker.results import CloudName, Pace, Result, SourceState
 from .pointing import hsv_words
 from .status import FrameStatus, patch_readings
 from .toolbar import Transport
@@ -112,7 +111,7 @@ class FramePresenter(QObject):
         self._views, self._strip, self._panel = views, strip, panel
         self._transport, self._status, self._messages = transport, status, context.messages
         self._pixel = (-1, -1)
-        self._read_s = 0.0
+        self._pace = Pace(READING_INTERVAL_S)
         self._shown_warnings: tuple[str, ...] = ()
         self._share = 0.5
         strip.hovered.connect(self._hovered)
@@ -146,16 +145,15 @@ class FramePresenter(QObject):
         histogram = result.rendered.histogram
         if histogram is not None:  # the worker counts less often than frames come
             self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, histogram.known)
-        shown_fps, now = self._status.show_result(result), time.perf_counter()
-        if not result.playback.playing or now - self._read_s >= READING_INTERVAL_S:
-            self._read_s = now
+        shown_fps = self._status.show_result(result)
+        if self._pace.due(result):
             readings = patch_readings(result, shown_fps) if compared is None else ()
             self._views.views[CloudName.PATCH].set_readings(readings)
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
             if strip is not None:  # else it is drawn with a later frame
                 self._panel.show_masked_share(strip.masked_share)
             self._show_readout()
-        self._transport.show_state(result.playback)
+            self._transport.show_state(result.playback)
         self._show_warnings(result)
 
     def set_wipe_share(self, share: float) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel, QPushButton, QStatusBar
@@ -12,7 +11,7 @@ from ...core.errors import counted, minus
 from ...widgets.basics.controls import ElidedLabel
 from ...widgets.basics.overlays import Reading
 from ..worker.playback import PlaybackState
-from ..worker.results import RateMeter, Result, SourceInfo, SourceState
+from ..worker.results import Pace, RateMeter, Result, SourceInfo, SourceState
 
 #: Interval between updates while frames play, in seconds.
 INTERVAL_S = 0.2
@@ -90,7 +89,7 @@ class FrameStatus(QStatusBar):
         self.setSizeGripEnabled(False)
         self.setContentsMargins(0, 0, 8, 0)
         self._shown_rate = RateMeter()
-        self._last_s = 0.0
+        self._pace = Pace(INTERVAL_S)
         self._playback, self._stale, self._recording = PlaybackState(), False, False
         self.details = FrameDetails()  # the window puts it among the controls of a mode
         self.state = _flat_button("Rates, dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
@@ -124,9 +123,7 @@ class FrameStatus(QStatusBar):
         """Count a frame as shown, and return the frames shown per second; the details wait for `INTERVAL_S`."""
         self._shown_rate.tick()
         shown_fps = self._shown_rate.rate()
-        now = time.perf_counter()
-        if not result.playback.playing or now - self._last_s >= INTERVAL_S:
-            self._last_s = now
+        if self._pace.due(result):
             self.details.show_result(result, shown_fps)
         return shown_fps
 

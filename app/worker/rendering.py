@@ -66,13 +66,12 @@ def draw_strip(
     counts = np.ascontiguousarray(frame.proximity_depth[every])
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
-    as_masked, masked = frame, preset.mask.enabled
-    if patch is not None and patch.mask_colors is not None and masked:
-        as_masked = replace(frame, proximity_color=patch.mask_colors.get())
+    image, masked = frame.proximity_color, preset.mask.enabled
+    as_masked = image if patch is None or patch.mask_colors is None else patch.mask_colors.get()
     panes: dict[str, Uint8Array] = {}
     if "color" in images:
-        color = compared = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
-        if as_masked.proximity_color is not frame.proximity_color:
+        color = compared = aligned_color(image, rig, depth_m, valid, typical_m, stride)
+        if as_masked is not image:
             compared = aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
         panes["color"] = color_pane(color, in_hsv_range(compared, preset.mask) if masked and shows_mask else None)
     if images != {"color"}:  # aligning depth takes long
@@ -91,22 +90,17 @@ def draw_strip(
         panes |= {name: pane() for name, pane in draw.items() if name in images}
     if patch is not None:
         outline_contact(panes.values(), patch.mask[every])
-    share = masked_share(as_masked.proximity_color, preset.mask) if masked else None
+    share = masked_share(as_masked, preset.mask) if masked else None
     return RenderedStrip(panes, (width, height), stride, depth_range_m, accepted, share)
 
 
 def aligned_color(
-    frame: SensorFrame,
-    rig: Rig,
-    depth_m: Float32Array,
-    valid: BoolArray,
-    typical_m: float,
-    stride: int = 1,
+    image: Uint8Array, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float, stride: int = 1
 ) -> Uint8Array:
     """Return the proximity colour at every ``stride``-th depth pixel, (h, w, 3); black where it is not seen."""
     if rig.proximity_color is None:
-        return frame.proximity_color[::stride, ::stride]
-    return _colors_along(_rays_of_every(rig.proximity.intrinsics, stride), frame, rig, depth_m, valid, typical_m)
+        return image[::stride, ::stride]
+    return _colors_along(_rays_of_every(rig.proximity.intrinsics, stride), image, rig, depth_m, valid, typical_m)
 
 
 def colors_around(frame: SensorFrame, rig: Rig, u: int, v: int, radius: int, typical_m: float) -> Uint8Array:
@@ -117,18 +111,15 @@ def colors_around(frame: SensorFrame, rig: Rig, u: int, v: int, radius: int, typ
     counts = frame.proximity_depth[part]
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
     rays = ray_table(rig.proximity.intrinsics)[part]
-    return _colors_along(rays, frame, rig, depth_m, valid_depth(counts), typical_m)
+    return _colors_along(rays, frame.proximity_color, rig, depth_m, valid_depth(counts), typical_m)
 
 
 def _colors_along(
-    rays: Float32Array, frame: SensorFrame, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float
+    rays: Float32Array, image: Uint8Array, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float
 ) -> Uint8Array:
-    points = np.empty((*depth_m.shape, 3), np.float32)
     z = np.where(valid, depth_m, np.float32(typical_m))
-    for axis, along in enumerate((rays[..., 0] * z, rays[..., 1] * z, z)):
-        points[..., axis] = along
-    pixels = _pixels(depth_m.size)
-    colors, _ = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
+    points = np.asarray(cv2.merge([rays[..., 0] * z, rays[..., 1] * z, z]), np.float32)
+    colors, _ = colors_at(points.reshape(-1, 3), _pixels(depth_m.size), image, rig)
     return colors.reshape(*depth_m.shape, 3)
 
 
@@ -257,10 +248,10 @@ class Renderer:
 
     def _with_count(self, name: CloudName, cloud: DepthCloud | None, anew: bool) -> DepthCloud | None:
         """Return a cloud with its number of points, counted here so that the window does not have to, or the last."""
-        if cloud is None or cloud.count is not None:
-            return cloud
-        if not anew and name in self._counts:
-            return replace(cloud, count=self._counts[name])
+        if cloud is None:
+            return None
+        if not anew and cloud.count != 0 and (last := self._counts.get(name)):
+            return replace(cloud, count=last)
         self._counts[name] = cloud.point_count
         return cloud
 

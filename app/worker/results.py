@@ -226,6 +226,20 @@ class Result:
         return self.playback.index + 1
 
 
+class Pace:
+    """Says when it is time to show again what nobody reads faster than every ``interval_s`` while frames play."""
+
+    def __init__(self, interval_s: float) -> None:
+        self._interval_s, self._last_s = interval_s, -interval_s
+
+    def due(self, result: Result) -> bool:
+        now_s = time.perf_counter()
+        if result.playback.playing and now_s - self._last_s < self._interval_s:
+            return False
+        self._last_s = now_s
+        return True
+
+
 class RateMeter:
     """Events per second over the last two seconds."""
 

@@ -7,7 +7,7 @@ Contact has one fixed colour everywhere.
 from __future__ import annotations
 
 from collections.abc import Container
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Final
 
 import cv2
@@ -91,6 +91,7 @@ def depth_lut_faint_behind() -> Uint8Array:
     return _frozen(lut)
 
 
+@cache
 def behind_legend() -> Legend:
     """Return the legend of the last row of `depth_lut_faint_behind`."""
     return [("behind", QColor(*map(int, depth_lut_faint_behind()[255])))]
@@ -101,6 +102,7 @@ def ends_legend(low: str, high: str, lut: Uint8Array) -> Legend:
     return [(low, _color(lut, 1)), (high, _color(lut, 255))]
 
 
+@lru_cache(maxsize=8)
 def depth_legend(near_m: float, far_m: float) -> Legend:
     span_mm = 1e3 * (far_m - near_m)
     return [(f"{1e3 * near_m + share * span_mm:.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)]
@@ -197,6 +199,7 @@ def provenance_legend(theme: ThemeName, occurring: Container[Provenance] = froze
     return [(name, _color(lut, verdict)) for verdict, name in _SHORT_NAMES.items() if verdict in occurring]
 
 
+@cache
 def patch_legend(theme: ThemeName) -> Legend:
     lut = patch_lut(theme)
     return [("contact", CONTACT_COLOR), ("not touching", _color(lut, CONTACT_ROW / 2))]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -90,18 +89,21 @@ def color_lookup(
     height, width = image.shape[:2]
     u_end = np.float32(width) - _HALF
     v_end = np.float32(height) - _HALF
+    bytes_of = image.reshape(-1)
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation[0], rotation[1], rotation[2]
+    tx, ty, tz = translation
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        x = r00 * px + r01 * py + r02 * pz + tx
+        y = r10 * px + r11 * py + r12 * pz + ty
+        z = r20 * px + r21 * py + r22 * pz + tz
         seen[i] = False
         if not z > 0:
             continue
         u, v = project(x, y, z, lens, camera)
         if u >= -_HALF and u < u_end and v >= -_HALF and v < v_end:
-            row, column = math.floor(v + _HALF), math.floor(u + _HALF)
-            colors[i, 0] = image[row, column, 0]
-            colors[i, 1] = image[row, column, 1]
-            colors[i, 2] = image[row, column, 2]
+            # unsigned, as negative indices would have to be looked for; neither number is negative
+            first = np.uint64(3) * np.uint64(np.int32(v + _HALF) * np.int32(width) + np.int32(u + _HALF))
+            for channel in range(3):
+                colors[i, channel] = bytes_of[first + np.uint64(channel)]
             seen[i] = True
