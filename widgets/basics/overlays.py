@@ -137,8 +137,11 @@ class Reading(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def readings_image(width: int, readings: tuple[Reading, ...], plate: str, ratio: float) -> QImage:
-    """Return a band with numbers in large type and their captions, in as many rows as they need; ``plate`` is below."""
+def readings_image(size: QSize, readings: tuple[Reading, ...], plate: str, ratio: float) -> QImage:
+    """Return a band with numbers in large type and their captions for a view, over ``plate``.
+
+    They take as many rows as they need; the last ones are left out where they would cover half of the view.
+    """
     large, small = text_font("title", bold=True), text_font("caption")
     numbers, captions = QFontMetrics(large), QFontMetrics(small)
     left, gap, height = 8, 12, numbers.height() + captions.height() + 4
@@ -146,11 +149,15 @@ def readings_image(width: int, readings: tuple[Reading, ...], plate: str, ratio:
     x, y = left, 4
     for _, words, widest in readings:
         taken = max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words))
-        if x + taken >= width and x > left:
+        if x + taken >= size.width() and x > left:
             x, y = left, y + height
+            if y + height > size.height() / 2:
+                y -= height
+                break
         places.append(QRect(x, y, taken, numbers.height()))
         x += taken + gap
-    image = QImage(QSizeF(width * ratio, (y + height) * ratio).toSize(), QImage.Format.Format_ARGB32_Premultiplied)
+    band = QSizeF(size.width() * ratio, (y + height) * ratio).toSize()
+    image = QImage(band, QImage.Format.Format_ARGB32_Premultiplied)
     image.setDevicePixelRatio(ratio)
     ground = QColor(plate)
     ground.setAlpha(_PLATE_ALPHA)
@@ -159,7 +166,7 @@ def readings_image(width: int, readings: tuple[Reading, ...], plate: str, ratio:
     for font, role, line in ((large, QPalette.ColorRole.Text, 0), (small, QPalette.ColorRole.PlaceholderText, 1)):
         painter.setFont(font)
         painter.setPen(palette.color(role))
-        for place, reading in zip(places, readings, strict=True):
+        for place, reading in zip(places, readings, strict=False):
             at = QPoint(place.left(), place.bottom() + captions.ascent() if line else place.top() + numbers.ascent())
             painter.drawText(at, reading[line])
     painter.end()

@@ -328,7 +328,7 @@ class CloudCanvas(QWidget):
             paint_wipe(painter, QRectF(self.rect()), self.wipe)
         elif self.readings:
             plate = self.palette().color(QPalette.ColorRole.Base).name()
-            painter.drawImage(0, 0, readings_image(self.width(), self.readings, plate, self.devicePixelRatioF()))
+            painter.drawImage(0, 0, readings_image(self.size(), self.readings, plate, self.devicePixelRatioF()))
         painter.end()
 
     def _paint_arrow(self, painter: QPainter, arrow: Float64Array) -> None:

@@ -242,12 +242,15 @@ class CloudView(QWidget):
         self._frame(self.camera(), self._steered)
 
     def _frame(self, camera: ViewCamera, steered: bool) -> None:
-        clouds = [cloud for view in (self, *self._companions) if (cloud := view.cloud()) is not None]
+        views = [view for view in (self, *self._companions) if view is self or not view.isHidden()]
+        clouds = [cloud for view in views if (cloud := view.cloud()) is not None]
+        sizes = np.array([view._size() for view in views])
+        width, height = (sizes / sizes.min(axis=1, keepdims=True)).min(axis=0)  # so that each view shows everything
         if self._focus is not None and len(self._focus):
-            camera = camera.framing(self._focus, *self._size())
+            camera = camera.framing(self._focus, width, height)
         elif clouds:
             points = np.concatenate([cloud.points(_FRAMING_STEP) for cloud in clouds])
-            camera = camera.framing(points, *self._size())
+            camera = camera.framing(points, width, height)
         self._move(camera, steered)
 
     def _size(self) -> tuple[int, int]:

@@ -104,7 +104,7 @@ class ViewCamera:
         azimuth, elevation = VIEWPOINTS[viewpoint]
         return replace(self, azimuth=azimuth, elevation=elevation)
 
-    def framing(self, points: npt.ArrayLike, width: int, height: int, fill: float = FILL) -> Self:
+    def framing(self, points: npt.ArrayLike, width: float, height: float, fill: float = FILL) -> Self:
         """Move so that points (N, 3), metres, take the share ``fill`` of the view, keeping the direction of view."""
         points = np.asarray(points, dtype=np.float64)
         if len(points) == 0:
@@ -119,7 +119,7 @@ class ViewCamera:
         distance = min(max(eye_back - middle_back, _SHORTEST_M), _LONGEST_M)
         return replace(self, target=_triple(np.array([x, y, eye_back - distance]) @ axes), distance=distance)
 
-    def _focal(self, width: int, height: int) -> float:
+    def _focal(self, width: float, height: float) -> float:
         return 0.5 * min(width, height) / tan(self.field_of_view / 2)
 
 
