@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import partial
@@ -25,7 +24,7 @@ from ...widgets.basics.record_table import Column, RecordTable
 from ..context import TASK, Context
 from ..document.comparison import PRESENT, Side, Sides, differing_fields, take_over
 from ..document.document import field_title, shown_value
-from ..worker.results import ComparedFrame
+from ..worker.results import ComparedFrame, Pace
 from .actions import Actions
 from .files import PRESET_FILTER
 from .frame_presenter import FramePresenter
@@ -95,7 +94,7 @@ class ComparisonPanel(QWidget):
         self._actions, self._presenter = actions, presenter
         self._mode = Shown.WIPE
         self._share = 0.5
-        self._numbers_s = 0.0
+        self._pace = Pace(INTERVAL_S)
         self.boxes = self._side_box(0), self._side_box(1)
         self.use = push_button("Use A", ""), push_button("Use B", "")
         self.modes = {mode: choice_button(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
@@ -107,7 +106,7 @@ class ComparisonPanel(QWidget):
         self.table = RecordTable(
             _COLUMNS, "Fields in which the presets differ", "The value of each in A and B", key=lambda row: row[0]
         )
-        self.table.setMinimumHeight(80)
+        self.table.setMinimumHeight(6 * (self.fontMetrics().height() + 8))  # five rows
         self.close_button = push_button("Close", "End the comparison (Esc)")
         self.close_button.clicked.connect(self._comparison.end)
         group = QButtonGroup(self)
@@ -222,11 +221,7 @@ class ComparisonPanel(QWidget):
 
     def _show_numbers(self) -> None:
         result = self._context.result
-        if result is None or result.compared is None:
-            return
-        now = time.perf_counter()
-        if not result.playback.playing or now - self._numbers_s >= INTERVAL_S:
-            self._numbers_s = now
+        if result is not None and result.compared is not None and self._pace.due(result):
             self._show_frame(result.compared)
 
     def _show_frame(self, compared: ComparedFrame) -> None:

@@ -162,7 +162,7 @@ class MainWindow(QMainWindow):
         self._compared = scrolling(self.comparison)
         self.comparison.hide()
         self._compared.hide()
-        vbox((self._compared, 1), (self.modes, 1), self.rail, within=self.beside, margins=0, spacing=4)
+        vbox((self._compared, 2), (self.modes, 1), self.rail, within=self.beside, margins=0, spacing=4)
         self.beside.setFixedWidth(COLUMN_PX)
         self.search = Search(self._found_by_name, self.views.setFocus)
         self.mode_bar = ModeBar(self.actions_, self.menus.preset, self.search)
