@@ -97,7 +97,7 @@ class Finder(QWidget):
         gestures = GestureClock()
         self.job = Job(self)
         self.search = push_button(
-            "Find points", "Find points automatically in all snapshots and add them as pairs (Ctrl+F)", "Ctrl+F"
+            "Find &points", "Find points automatically in all snapshots and add them as pairs (Ctrl+F)", "Ctrl+F"
         )
         self.target = QComboBox()
         for number, (target, (title, tip)) in enumerate(_TARGETS.items()):

@@ -58,7 +58,7 @@ class FramesPage(QWidget):
         self.list.setAccessibleName("Snapshots")
         self.list.setToolTip("The snapshots taken; points are clicked in the selected one")
         self.list.setSpacing(4)
-        self.remove = push_button("Remove", "Remove the snapshot and the points clicked in it; undo restores both")
+        self.remove = push_button("Re&move", "Remove the snapshot and the points clicked in it; undo restores both")
         self._lay_out()
         self._connect()
         self.setFocusProxy(self.take)

@@ -64,7 +64,7 @@ class PointsPage(QWidget):
         self.drop.hide()
         self.load = push_button("&Import…", "Read pairs from a CSV file")
         self.store = push_button("&Export…", "Write the pairs to a CSV file")
-        shown = (caption("&Snapshot", self.snapshot), self.snapshot, caption("&Image", self.image), self.image)
+        shown = (caption("&Snapshot", self.snapshot), self.snapshot, caption("Ima&ge", self.image), self.image)
         tools = hbox(*shown, (self.finder, 1), spacing=8)
         self.views = QWidget()
         hbox(*((image, 1) for image in self.images.values()), within=self.views, margins=0, spacing=8)
@@ -100,7 +100,7 @@ class PointsPage(QWidget):
 
     def show_outcome(self, outcome: Outcome) -> None:
         self._outcome = outcome
-        self.drop.setText(f"Remove {counted(len(outcome.rejected), 'rejected pair')}")
+        self.drop.setText(f"Re&move {counted(len(outcome.rejected), 'rejected pair')}")
         self.drop.setVisible(bool(outcome.rejected))
         self._show_points()
 

@@ -49,7 +49,7 @@ class SnapshotStep(Gather):
 
     def __init__(self, context: Context, rig: Rig) -> None:
         tip = f"Average {FRAMES} frames, or as many as show the membrane standing still (Ctrl+T)"
-        super().__init__(context, push_button("Take snapshot", tip, "Ctrl+T"))
+        super().__init__(context, push_button("Ta&ke snapshot", tip, "Ctrl+T"))
         self._rig = rig
         self._number = 0  # of the first frame
         self._end = ""

@@ -74,7 +74,7 @@ class CalibrationWizard(QDialog):
         self.steps = QButtonGroup(self)
         buttons = []
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
-            button = choice_button(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
+            button = choice_button(f"&{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
             button.setMinimumHeight(30)
             button.setMinimumWidth(124)
             self.steps.addButton(button, number)
@@ -89,7 +89,7 @@ class CalibrationWizard(QDialog):
         self.back = push_button("&Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("&Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(
-            "Save preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
+            "S&ave preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
         )
         self.leave = push_button("&Close", "Close the wizard; everything is saved and restored next time")
         for push in (*self.page_actions.values(), self.next, self.save):
@@ -246,7 +246,7 @@ class CalibrationWizard(QDialog):
             button, attention = self.steps.button(step), findings.get(name, "")
             assert button is not None
             sign, status = ("!", attention) if attention else ("✓", "Done.") if self._done(step) else ("", "")
-            button.setText(f"{step + 1}  {name}  {sign}".strip())
+            button.setText(f"&{step + 1}  {name}  {sign}".strip())
             button.setToolTip(f"{tip} (Ctrl+{step + 1})\n{status}".strip())
             button.setAccessibleName(f"Step {step + 1}, {name}. {status}".strip())
         step, report = self.stack.currentIndex(), self.outcome.report

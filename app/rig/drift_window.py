@@ -38,7 +38,7 @@ class DriftWindow(QDialog):
         )
         self.image.set_loupe_wanted(False)
         self.again = push_button("Check &again", "Check on the newest frame (Ctrl+R)", "Ctrl+R")
-        self.calibrate = push_button("&Calibrate…", "Open the calibration wizard")
+        self.calibrate = push_button("Ca&librate…", "Open the calibration wizard")
         self.capture = push_button(
             "Capture &untouched frame…", "Average frames of the membrane while nothing touches it"
         )

@@ -127,7 +127,7 @@ class JobRow(QWidget):
 
     def __init__(self, *jobs: Job) -> None:
         super().__init__()
-        self.bar, self.cancel = ProgressBar(), push_button("Cancel", "Cancel")
+        self.bar, self.cancel = ProgressBar(), push_button("Cance&l", "Cancel")
         self.bar.setAccessibleName("Progress")
         hbox((self.bar, 1), self.cancel, within=self, margins=0)
         policy = self.sizePolicy()

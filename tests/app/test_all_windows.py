@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QSize, Qt
-from PyQt6.QtGui import QImage
+from PyQt6.QtGui import QImage, QKeySequence
 from PyQt6.QtWidgets import (
     QAbstractButton,
     QAbstractItemView,
@@ -16,6 +16,7 @@ from PyQt6.QtWidgets import (
     QDialogButtonBox,
     QLabel,
     QLineEdit,
+    QPushButton,
     QRadioButton,
     QScrollArea,
     QScrollBar,
@@ -184,7 +185,16 @@ def unreachable(shown, window):
             missing.add(("tooltip", described(widget)))
         if not reached:
             missing.add(("key", described(widget)))
-    return missing
+        if isinstance(widget, QPushButton) and shown is not window and not keys_of([widget]):
+            missing.add(("mnemonic", described(widget)))
+    used = keys_of([*within(shown, QAbstractButton), *within(shown, QLabel)]) if shown is not window else []
+    return missing | {("two have this mnemonic", key) for key in used if used.count(key) > 1}
+
+
+def keys_of(widgets):
+    """Return the letters that press a button with Alt, or go to the field of a label."""
+    texts = [each.text() for each in widgets if not isinstance(each, QLabel) or each.buddy() is not None]
+    return [key for text in texts if (key := QKeySequence.mnemonic(text).toString())]
 
 
 def told(widget, window):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QAction, QColor, QKeyEvent, QKeySequence, QPainter, QPaintEvent, QPalette, QShortcut
 from PyQt6.QtWidgets import (
+    QAbstractButton,
     QApplication,
     QComboBox,
     QDialogButtonBox,
@@ -41,8 +44,8 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     button = QPushButton(text)
     button.setToolTip(tip)
     button.setAutoDefault(False)
-    if shortcut:
-        button.setShortcut(shortcut)
+    if shortcut:  # beside the mnemonic, which `setShortcut` would replace
+        QShortcut(QKeySequence(shortcut), button).activated.connect(button.click)
     return button
 
 
@@ -112,10 +115,18 @@ class FoldButton(QToolButton):
 def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:
     """Return a row of standard buttons; Close is never the primary one."""
     box = QDialogButtonBox(standard)
+    add_mnemonics(box.buttons())
     close = box.button(QDialogButtonBox.StandardButton.Close)
     if close is not None:
         close.setAutoDefault(False)
     return box
+
+
+def add_mnemonics(buttons: Iterable[QAbstractButton]) -> None:
+    """Let Alt with its first letter press each standard button that the desktop gave no key."""
+    for button in buttons:
+        if "&" not in button.text():
+            button.setText(f"&{button.text()}")
 
 
 # Labels

@@ -21,6 +21,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from .controls import add_mnemonics
+
 #: What a window manager may draw around a window.
 _FRAME = QSize(16, 40)
 
@@ -136,6 +138,7 @@ def _open(box: QMessageBox, answer: Callable[[QAbstractButton | None], Callable[
             use()
 
     box.finished.connect(answered)
+    add_mnemonics(box.buttons())
     box.open()
 
 
