@@ -57,7 +57,7 @@ class PressureSection(Section):
             step=5.0,
             limits=(0.0, 1e6),
         ),
-    ] = 50.0
+    ] = 5.0
     gauge_pa: Annotated[
         float,
         described(

@@ -20,6 +20,9 @@ from ..kernels.quadric import bend_quadrics, solve_quadrics
 #: Side of a cell, pixels, and share of its pixels that must have depth.
 CELL_PX: Final = 8
 _MIN_SHARE: Final = 0.5
+#: Where the depth falls or rises more steeply, a surface ends; one of less than this share of the largest is not the
+#: membrane.
+_STEEPEST, _SURFACE_SHARE = 3.0, 0.05
 #: Smallest share of a window that must be seen for a curvature, and for a depth.
 _WINDOW_SHARE, _DEPTH_SHARE = 0.6, 0.3
 _POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
@@ -71,8 +74,12 @@ class Shape(NamedTuple):
     growth: Float64Array  # Of the curvature's standard deviation, against a window that is seen whole
 
 
-def cells(counts: Uint16Array, unit_m: float, offset_m: float) -> tuple[Float64Array, Float64Array]:
-    """Return the mean depth of each cell, metres, and its share of pixels with depth, 0 where that is too small."""
+def cells(counts: Uint16Array, unit_m: float, offset_m: float, side: float) -> tuple[Float64Array, Float64Array]:
+    """Return the mean depth of each cell, metres, and its share of pixels with depth.
+
+    Both are 0 where that share is too small, at steps of the depth, and on small surfaces between steps, which are not
+    the membrane. ``side`` is that of a cell over the focal length.
+    """
     import cv2
 
     height, width = (size // CELL_PX * CELL_PX for size in counts.shape)
@@ -84,7 +91,14 @@ def cells(counts: Uint16Array, unit_m: float, offset_m: float) -> tuple[Float64A
     total = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA).astype(np.float64)
     share[share < _MIN_SHARE] = 0.0
     depth = np.divide(total, share, out=np.zeros_like(total), where=share > 0) * unit_m + offset_m
-    return np.where(share > 0, depth, 0.0), share
+    near, far = (np.where(share > 0, depth, beyond) for beyond in (np.inf, -np.inf))
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    with np.errstate(invalid="ignore", over="ignore"):
+        is_even = cv2.dilate(far, cross) - cv2.erode(near, cross) < 2 * _STEEPEST * side * depth
+    labels = np.asarray(cv2.connectedComponents(is_even.view(np.uint8), connectivity=4)[1])
+    sizes = np.bincount(labels[is_even], minlength=1)
+    on_membrane = is_even & (sizes >= _SURFACE_SHARE * sizes.max())[labels]
+    return np.where(on_membrane, depth, 0.0), np.where(on_membrane, share, 0.0)
 
 
 def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool = True) -> Shape:
@@ -182,8 +196,20 @@ def _corner(image: Float64Array, row: int, column: int) -> Float64Array:
     return image[row : height - 1 + row, column : width - 1 + column]
 
 
-def inner(known: BoolArray) -> BoolArray:
-    """Return the cells all of whose neighbours are known."""
+def filled(depth_m: Float64Array) -> tuple[Float64Array, BoolArray, BoolArray]:
+    """Return the depth with holes closed, the cells of holes, and those away from the rim.
+
+    How a hole is closed does not matter to the balance: the area that a closed line spans does not depend on the
+    surface between, in any direction.
+    """
     import cv2
 
-    return np.asarray(cv2.erode(known.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0)
+    known = np.isfinite(depth_m).view(np.uint8)
+    whole = np.zeros_like(known)
+    lines = cv2.findContours(known, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    cv2.drawContours(whole, lines, -1, 1, cv2.FILLED)
+    holes = (whole > known).view(np.uint8)
+    if holes.any():
+        closed = cv2.inpaint(np.nan_to_num(depth_m).astype(np.float32), holes, 3, cv2.INPAINT_NS)
+        depth_m = np.where(holes > 0, closed, depth_m)
+    return depth_m, holes > 0, np.asarray(cv2.erode(whole, np.ones((3, 3), np.uint8), borderValue=0) > 0)

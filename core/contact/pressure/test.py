@@ -113,7 +113,7 @@ class PressureTest(ContactTest):
                 camera = pixels.rig.proximity.intrinsics
                 self._contact = without_small_clusters(self._pressed, camera, preset.pressure.min_area_mm2)
         if due("force"):
-            touching = self._touching if len(self._contact) else np.zeros_like(self._touching)
+            touching = _parts_with(self._touching, self._cells(self._contact, frame))
             self._facts = now.facts(touching, preset, self._images(now.relative, self._contact, frame))
         groups = self._touching, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
@@ -137,6 +137,18 @@ class PressureTest(ContactTest):
         assert self._rest is not None
         smooth = self._rest.grid.to_image(cells, self.pixels.rig.tactile.intrinsics.shape)
         return np.asarray(smooth.reshape(-1)[self.pixels.tactile_pixels(seen.pixels, frame)] > 0.5)
+
+    def _cells(self, contact: Candidates, frame: SensorFrame) -> BoolArray:
+        """Return the cells that hold a pixel of the contact."""
+        from .surface import CELL_PX
+
+        assert self._rest is not None
+        rows, columns = self._rest.grid.pixels
+        found = np.zeros(self._touching.shape, np.bool_)
+        v, u = np.divmod(self.pixels.tactile_pixels(contact.pixels, frame), self.pixels.rig.tactile.intrinsics.width)
+        inside = (v >= rows.start) & (v < rows.stop) & (u >= columns.start) & (u < columns.stop)
+        found[(v[inside] - rows.start) // CELL_PX, (u[inside] - columns.start) // CELL_PX] = True
+        return found
 
     def _images(self, cells: Float64Array, contact: Candidates, frame: SensorFrame) -> dict[str, Lazy[Float32Array]]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
@@ -188,7 +200,7 @@ class _Rest:
         seen = valid_depth(counts).any()
         if seen:
             self.grid: Grid = surface.Grid.of(lens, counts)
-            depth_m, share = surface.cells(counts[self.grid.pixels], self.unit_m, self.offset_m)
+            depth_m, share = surface.cells(counts[self.grid.pixels], self.unit_m, self.offset_m, self.grid.side[0])
             seen = (share > 0).any()
         if not seen:
             raise RigMismatchError(
@@ -220,6 +232,8 @@ class _Rest:
         self.sigma_per_m = self.bend_noise / (self.window * self.cell_m) ** 3
         self.shape: Shape = surface.fit(depth_m, share, self.window)
         self.bulge_per_m = surface.curvature(self.shape, self.grid)[0]
+        #: By this the pressure is divided: in a wider window, lest noise of the untouched frame look like pressure.
+        self.usual_per_m = np.where(np.isfinite(wide), wide, self.bulge_per_m)
 
     @property
     def bend_noise(self) -> float:
@@ -234,14 +248,16 @@ class _Now:
         from . import surface
 
         self._rest = rest
-        self._depth_m, self._share = surface.cells(frame.tactile_depth[rest.grid.pixels], rest.unit_m, rest.offset_m)
+        counts = frame.tactile_depth[rest.grid.pixels]
+        self._depth_m, self._share = surface.cells(counts, rest.unit_m, rest.offset_m, rest.grid.side[0])
         self._shape = surface.fit(self._depth_m, self._share, rest.window)
         self.bulge_per_m = surface.curvature(self._shape, rest.grid)[0]
         self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(self._depth_m, self._share, _FINE_WINDOW, curved=False))
         with np.errstate(invalid="ignore", divide="ignore"):
             self._moved_m = rest.shape.fit[0] - self._shape.fit[0]
-            ratio = np.where(rest.bulge_per_m > 0.2 * rest.curvature_per_m, self.bulge_per_m / rest.bulge_per_m, np.nan)
-            sigma = rest.sigma_per_m / rest.bulge_per_m * self._shape.growth
+            usual = np.where(rest.usual_per_m > 0.2 * rest.curvature_per_m, rest.usual_per_m, np.nan)
+            ratio = 1 + (self.bulge_per_m - rest.bulge_per_m) / usual
+            sigma = rest.sigma_per_m / usual * self._shape.growth
         self.grown, self.relative, scatter = _against_free(ratio, sigma)
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
         self._sigma = sigma * max(scatter, 1.0)
@@ -280,7 +296,7 @@ class _Now:
         from . import surface
 
         largest = surface.curvature(self._fine.get(), self._rest.grid)[1]
-        flatness = 1 - 2 * largest / (self.grown * self._rest.bulge_per_m)
+        flatness = 1 - 2 * largest / (self.grown * self._rest.usual_per_m)
         known = np.isfinite(flatness)
         size = (2 * math.ceil(2.5 * _EDGE_WINDOW) + 1,) * 2
         total, weight = (
@@ -299,10 +315,13 @@ class _Now:
         force, sigma, at_rim, agrees = np.zeros(3), np.zeros(3), False, True
         if touching.any():
             slopes = self._fine.get().fit[0]
-            depth_m = np.where(np.isfinite(slopes), slopes, self._shape.fit[0])
-            away = cv2.distanceTransform((~touching).view(np.uint8), cv2.DIST_L2, 5)
+            depth_m, holes, inner = surface.filled(np.where(np.isfinite(slopes), slopes, self._shape.fit[0]))
+            # contact is not seen within a window of a hole, and may go on there
+            reach = 2 * math.ceil(rest.window + _FINE_WINDOW) + 1
+            near = cv2.dilate(touching.view(np.uint8), np.ones((reach, reach), np.uint8)) > 0
+            within = touching | _parts_with(holes, near)
+            away = cv2.distanceTransform((~within).view(np.uint8), cv2.DIST_L2, 5)
             weight = np.clip(1 - (away - _MARGIN) / _RAMP, 0.0, 1.0)
-            inner = surface.inner(np.isfinite(depth_m))
             at_rim = bool(((weight > 0) & ~inner).any())
             weight *= inner  # at the rim the clamp's pull ends the balance
             free = (away > _MARGIN) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
