@@ -220,7 +220,7 @@ def test_the_force_does_not_need_what_a_hole_hides_but_the_pressure_does(pressed
     patch = ContactPipeline(preset.with_value("pressure.gauge_pa", frame.truth.inflation_pa), rig, untouched).process(
         replace(frame, tactile_depth=depth)
     )
-    assert np.linalg.norm(np.subtract(patch.force_n, frame.truth.force_n)) < 0.10 * np.linalg.norm(frame.truth.force_n)
+    assert np.linalg.norm(np.subtract(patch.force_n, frame.truth.force_n)) < 0.15 * np.linalg.norm(frame.truth.force_n)
     assert patch.pressure.agrees == agrees == ("force and pressure disagree" not in patch.doubt.reasons)
 
 
