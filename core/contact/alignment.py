@@ -48,11 +48,10 @@ class AlignmentModel:
             width = tables.size.tactile_width
             u, v = (np.where(partners >= 0, part, np.nan) for part in (partners % width, partners // width))
             return u.astype(np.float32), v.astype(np.float32)
-        count = tables.size.width * tables.size.height
-        planes, translation = tables.planes, tables.translation_m
-        points = np.stack([planes[axis * count + pixels] * depth_m + translation[axis] for axis in range(3)], axis=1)
-        points[points[:, 2] <= 0] = np.nan
-        u, v = rig.tactile.intrinsics.project(points).astype(np.float32).T
+        planes = tables.planes[: 3 * tables.size.width * tables.size.height].reshape(3, -1)
+        points = np.take(planes, pixels, axis=1) * depth_m + tables.translation_m[:, None]
+        points[:, points[2] <= 0] = np.nan
+        u, v = rig.tactile.intrinsics.project(points.T).astype(np.float32).T
         return u, v
 
 
