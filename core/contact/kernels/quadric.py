@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,54 +10,56 @@ import numpy as np
 from .compiling import kernel
 
 
-@kernel
+@partial(kernel, error_model="numpy")  # a check for division by zero keeps loops from working on several cells
 def solve_quadrics(moments: Any, places: Any, right: Any, usable: Any, work: Any, out: Any, growth: Any) -> None:
     """Solve M c = b at each usable cell by Cholesky's method; write c and the growth of the curvature's variance.
 
     ``moments`` (15, H, W) are the windows' weighted moments, and ``places`` (6, 6) tells which of them each product of
     two of 1, x, y, xx, xy and yy has; ``right`` (6, H, W) are those of the depth. ``out`` (6, H, W) receives nan
     elsewhere; ``growth`` (H, W) the sum of the last diagonal elements of the inverse that belong to xx and yy; ``work``
-    is (7, 6).
+    is (7, 6, W): the cells of a row are computed side by side.
     """
+    cells = range(usable.shape[1])
     for v in range(usable.shape[0]):
-        for u in range(usable.shape[1]):
-            good = usable[v, u]
-            if good:
-                for i in range(6):
-                    for j in range(i + 1):
-                        total = moments[places[i, j], v, u]
-                        for k in range(j):
-                            total -= work[i, k] * work[j, k]
-                        if i == j:
-                            if total <= 1e-9 * moments[places[i, i], v, u]:
-                                good = False
-                                total = 1.0
-                            work[i, i] = np.sqrt(total)
-                        else:
-                            work[i, j] = total / work[j, j]
-            if not good:
-                for i in range(6):
-                    out[i, v, u] = np.nan
-                growth[v, u] = np.nan
-                continue
-            variance = 0.0
-            for column in range(3):  # the depth, and the unit vectors of xx and yy
-                for i in range(6):
-                    total = right[i, v, u] if column == 0 else 1.0 if i == 1 + 2 * column else 0.0
-                    for k in range(i):
-                        total -= work[i, k] * work[6, k]
-                    work[6, i] = total / work[i, i]
-                for i in range(5, -1, -1):
-                    total = work[6, i]
-                    for k in range(i + 1, 6):
-                        total -= work[k, i] * work[6, k]
-                    work[6, i] = total / work[i, i]
-                if column == 0:
-                    for i in range(6):
-                        out[i, v, u] = work[6, i]
+        for u in cells:
+            growth[v, u] = 0.0 if usable[v, u] else np.nan
+        for i in range(6):
+            for j in range(i + 1):
+                for u in cells:
+                    work[i, j, u] = moments[places[i, j], v, u]
+                for k in range(j):
+                    for u in cells:
+                        work[i, j, u] -= work[i, k, u] * work[j, k, u]
+                if i == j:
+                    for u in cells:
+                        good = work[i, i, u] > 1e-9 * moments[places[i, i], v, u]
+                        growth[v, u] = growth[v, u] if good else np.nan
+                        work[i, i, u] = np.sqrt(work[i, i, u] if good else 1.0)
                 else:
-                    variance += work[6, 1 + 2 * column]
-            growth[v, u] = variance
+                    for u in cells:
+                        work[i, j, u] /= work[j, j, u]
+        for column in range(3):  # the depth, and the unit vectors of xx and yy
+            for i in range(6):
+                for u in cells:
+                    work[6, i, u] = right[i, v, u] if column == 0 else 1.0 if i == 1 + 2 * column else 0.0
+                for k in range(i):
+                    for u in cells:
+                        work[6, i, u] -= work[i, k, u] * work[6, k, u]
+                for u in cells:
+                    work[6, i, u] /= work[i, i, u]
+            for i in range(5, -1, -1):
+                for k in range(i + 1, 6):
+                    for u in cells:
+                        work[6, i, u] -= work[k, i, u] * work[6, k, u]
+                for u in cells:
+                    work[6, i, u] /= work[i, i, u]
+            if column == 0:
+                for i in range(6):
+                    for u in cells:
+                        out[i, v, u] = work[6, i, u] if growth[v, u] == 0.0 else np.nan
+            else:
+                for u in cells:
+                    growth[v, u] += work[6, 1 + 2 * column, u]
 
 
 @kernel

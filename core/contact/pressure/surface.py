@@ -117,7 +117,7 @@ def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool =
     seen = moments[0]
     found, growth = np.empty_like(right), np.empty_like(seen)
     usable = seen > (_WINDOW_SHARE if curved else _DEPTH_SHARE)
-    solve_quadrics(moments, _PLACES, right, usable, np.empty((7, 6)), found, growth)
+    solve_quadrics(moments, _PLACES, right, usable, np.empty((7, 6, usable.shape[1])), found, growth)
     scale = np.array([1.0, sigma, sigma, sigma**2, sigma**2, sigma**2])[:, None, None]
     return Shape(found / scale, seen, np.sqrt(np.maximum(growth / variance, 1.0)))
 
