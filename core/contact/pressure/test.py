@@ -84,6 +84,8 @@ class PressureTest(ContactTest):
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
         """Return the contact in a frame; `RigMismatchError` without an untouched frame."""
+        from ..outliers.clusters import in_large_cluster, keep  # loads kernels
+
         pixels = self.pixels
         if pixels.untouched is None:
             raise RigMismatchError(
@@ -97,23 +99,19 @@ class PressureTest(ContactTest):
         rest, now = self._rest, self._now
         assert rest is not None
         if due("contact"):
-            from ..outliers.clusters import keep  # loads kernels
-
             self._touching = now.contact(preset.pressure)
             self._seen = NO_CANDIDATES
             if self._touching.any():
                 self._seen = pixels.candidates(frame, _BOTH_SHARE, self._place(rest))
-            inside = self._at_pixels(self._touching, frame, self._seen)
-            self._pressed = keep(self._seen, inside)
+            places = pixels.tactile_pixels(self._seen.pixels, frame)
+            inside = self._in_cells(self._touching, places)
+            self._pressed, self._places = keep(self._seen, inside), places[inside]
         if due("clusters"):
-            from ..outliers.clusters import without_small_clusters  # loads kernels
-
-            self._contact = NO_CANDIDATES
-            if len(self._pressed):
-                camera = pixels.rig.proximity.intrinsics
-                self._contact = without_small_clusters(self._pressed, camera, preset.pressure.min_area_mm2)
+            pressed, camera, min_mm2 = self._pressed, pixels.rig.proximity.intrinsics, preset.pressure.min_area_mm2
+            large = in_large_cluster(pressed.points[:, 2], pressed.pixels, camera, min_mm2)
+            self._contact, self._kept = keep(pressed, large), self._places[large]
         if due("force"):
-            touching = _parts_with(self._touching, self._cells(self._contact, frame))
+            touching = _parts_with(self._touching, self._cells_at(self._kept))
             self._facts = now.facts(touching, preset, self._images(now.relative, self._contact, frame))
         groups = self._touching, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
@@ -131,24 +129,23 @@ class PressureTest(ContactTest):
         )
         return left, top, right, bottom
 
-    def _at_pixels(self, cells: BoolArray, frame: SensorFrame, seen: Candidates) -> BoolArray:
-        if not len(seen):
+    def _in_cells(self, cells: BoolArray, places: IndexArray) -> BoolArray:
+        """Return which flat tactile pixels lie in cells that are true."""
+        if not len(places):
             return np.zeros(0, np.bool_)
         assert self._rest is not None
         smooth = self._rest.grid.to_image(cells, self.pixels.rig.tactile.intrinsics.shape)
-        return np.asarray(smooth.reshape(-1)[self.pixels.tactile_pixels(seen.pixels, frame)] > 0.5)
+        return np.asarray(smooth.reshape(-1)[places] > 0.5)
 
-    def _cells(self, contact: Candidates, frame: SensorFrame) -> BoolArray:
-        """Return the cells that hold a pixel of the contact."""
-        from .surface import CELL_PX
+    def _cells_at(self, places: IndexArray) -> BoolArray:
+        """Return the cells that hold one of these flat tactile pixels."""
+        import cv2
 
         assert self._rest is not None
-        rows, columns = self._rest.grid.pixels
-        found = np.zeros(self._touching.shape, np.bool_)
-        v, u = np.divmod(self.pixels.tactile_pixels(contact.pixels, frame), self.pixels.rig.tactile.intrinsics.width)
-        inside = (v >= rows.start) & (v < rows.stop) & (u >= columns.start) & (u < columns.stop)
-        found[(v[inside] - rows.start) // CELL_PX, (u[inside] - columns.start) // CELL_PX] = True
-        return found
+        image = np.zeros(self.pixels.rig.tactile.intrinsics.shape, np.uint8)
+        image.reshape(-1)[places] = 255
+        size = self._touching.shape[::-1]
+        return np.asarray(cv2.resize(image[self._rest.grid.pixels], size, interpolation=cv2.INTER_AREA) > 0)
 
     def _images(self, cells: Float64Array, contact: Candidates, frame: SensorFrame) -> dict[str, Lazy[Float32Array]]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
@@ -175,7 +172,7 @@ class PressureTest(ContactTest):
         image = self.pixels.classify(frame)
         verdicts = image.reshape(-1)
         known = np.flatnonzero(verdicts == Provenance.CONTACT)
-        inside = self._at_pixels(cells, frame, Candidates(known, np.empty((len(known), 3), np.float32)))
+        inside = self._in_cells(cells, self.pixels.tactile_pixels(known, frame))
         verdicts[known] = np.where(inside, Provenance.MASKED, Provenance.OUTSIDE_TOLERANCE)
         verdicts[pressed.pixels] = Provenance.SMALL_CLUSTER
         verdicts[contact.pixels] = Provenance.CONTACT
