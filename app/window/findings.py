@@ -99,6 +99,7 @@ class FindingsControl(QObject):
         self._shown: dict[str, Finding] = {}
         self._present: dict[str, Finding] = {}
         self._preset: Preset | None = None
+        self._judged = False
         self._offered: Finding | None = None
         rail.mend = self.mend
         self._timer = QTimer(self)
@@ -137,13 +138,13 @@ class FindingsControl(QObject):
     def _found(self, findings: tuple[Finding, ...], preset: Preset) -> None:
         if preset is not self._context.document.preset:
             return  # edited meanwhile; the next examination follows
-        before, first = self._shown, self._preset is None
+        before = self._shown
         self._preset, self._present = preset, {finding.name: finding for finding in findings}
         gone = {name: finding for name, finding in before.items() if name not in self._present}
         self._shown = self._present | gone
         if gone and not self._timer.isActive():
             self._timer.start()
-        if first or self._shown != before:
+        if not self._judged or self._shown != before:
             self._show()
 
     def _drop_gone(self) -> None:
@@ -161,8 +162,8 @@ class FindingsControl(QObject):
             rows.setdefault(finding.field, shown.sentence)
         self._panel.show_findings(rows)
         result = self._context.result
-        judged = self._preset is not None and result is not None and result.patch is not None
-        self._rail.show_findings(findings, examined=judged)
+        self._judged = self._preset is not None and result is not None and result.patch is not None
+        self._rail.show_findings(findings, examined=self._judged)
         self._explain_empty()
 
     def _explain_empty(self) -> None:

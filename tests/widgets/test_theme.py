@@ -4,7 +4,7 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QRect, Qt
 from PyQt6.QtGui import QPalette
-from PyQt6.QtWidgets import QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QPushButton, QToolButton, QVBoxLayout, QWidget
 
 from contrast import contrast_ratio
 from tactune.widgets.basics.controls import NoteLabel
@@ -42,6 +42,18 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp, qtbot, name):
     assert widget.palette().color(QPalette.ColorRole.Window).name() == colors.window
     assert widget.palette().color(QPalette.ColorRole.Highlight).name() == ACCENT
     assert pg.getConfigOption("background") == colors.base
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_button_of_the_next_step_stays_readable_under_the_mouse(qapp, qtbot, name):
+    apply_theme(qapp, name)
+    button = QToolButton()
+    qtbot.addWidget(button)
+    button.setProperty("primary", True)
+    button.setText("Record")
+    button.setAttribute(Qt.WidgetAttribute.WA_UnderMouse)
+    image = button.grab().toImage()
+    assert contrast_ratio(image.pixelColor(4, image.height() // 2).name(), theme_colors().on_accent) >= 4.5
 
 
 @pytest.mark.parametrize("name", NAMES)

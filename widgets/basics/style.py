@@ -50,7 +50,8 @@ QPushButton:hover, QToolButton[autoRaise="false"]:hover, QToolButton[autoRaise="
 QPushButton:pressed, QToolButton:pressed { background: $border; }
 QPushButton:default, QPushButton:checked, QToolButton[autoRaise="false"]:checked {
     background: $accent; border-color: $accent; color: $on_accent; }
-QToolButton[primary="true"] { background: $accent; border-color: $accent; color: $on_accent; padding: 3px 8px; }
+QToolButton[primary="true"], QToolButton[primary="true"]:hover {
+    background: $accent; border-color: $accent; color: $on_accent; padding: 3px 8px; }
 QToolButton[mode="true"] { background: transparent; border-color: transparent; padding: 3px 10px; }
 QToolButton[mode="true"]:checked { background: $accent; color: $on_accent; }
 QPushButton:disabled, QToolButton[autoRaise="false"]:disabled {
