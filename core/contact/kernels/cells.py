@@ -31,7 +31,7 @@ class DifferenceWindow(NamedTuple):
 
     differences: Float32Array  # (H, W): Proximity minus tactile depth, metres
     usable: BoolArray  # (H, W): Where both depths count
-    excluded: BoolArray  # (H, W): Outside the region or range
+    excluded: BoolArray  # (H, W): Outside the region, or on the membrane outside the range
     unseen: BoolArray  # (H, W): Without one of both depths
     counts: Uint16Array  # (H, W): Raw proximity depth
     unit_m: np.float32  # Metres of a count

@@ -25,7 +25,7 @@ from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scrat
 BLOCK_PX: Final = 8
 
 #: States of pixels, as `find_differences` writes them. The colour of masked ones is the mask's; excluded ones lie
-#: outside the region or range; unseen ones have no proximity or no tactile depth.
+#: outside the region, or on the membrane outside the range; unseen ones have no proximity or no tactile depth.
 TAKES_NO_PART, USABLE, MASKED, EXCLUDED, UNSEEN = range(5)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _MIN_DIVISOR = np.float32(1e-6)
@@ -57,16 +57,6 @@ class DifferenceImages(NamedTuple):
 
     differences: Float32Array  # flat: Proximity minus tactile depth, metres; 0 where it is not smaller than the largest
     states: Uint8Array  # flat
-
-
-@inline
-def _considered(count: Any, depth: Any, column: Any, in_row: Any, test: Any) -> Any:
-    """Return which lanes lie in the region and, if they have a depth, in the range; ``in_row``: the row does."""
-    considered = within(column, test.region.left, test.region.right)
-    if not in_row:
-        considered = flags(0)
-    in_range = (depth >= floats(test.limits.nearest_m)) & (depth <= floats(test.limits.farthest_m))
-    return considered & (in_range | ~is_depth(count))
 
 
 @inline
@@ -103,7 +93,10 @@ def find_differences(
             count = load(images.proximity, place)
             depth = to_floats(count) * floats(test.alignment.proximity_unit_m)
             column = lane_columns(u, before)
-            considered = _considered(count, depth, column, row_in_region, test)
+            considered = within(column, test.region.left, test.region.right)
+            if not row_in_region:
+                considered = flags(0)
+            in_range = (depth >= floats(test.limits.nearest_m)) & (depth <= floats(test.limits.farthest_m))
             state = where(considered, ints(np.int32(TAKES_NO_PART)), ints(np.int32(EXCLUDED)))
             state = where(considered & ~is_depth(count), ints(np.int32(UNSEEN)), state)
             difference = floats(_ZERO)
@@ -111,6 +104,10 @@ def find_differences(
             if tiles[v // TILE_ROWS, u // LANES] and bits(valid) != 0:
                 depth = depth - floats(bias_m)
                 difference, state = _compare(place, depth, valid, state, images, test, color, largest_m)
+                # what is far from the membrane tells that it is free there, in the range or not
+                left_out = ~in_range & ((state == ints(np.int32(USABLE))) | (state == ints(np.int32(MASKED))))
+                difference = where(left_out, floats(_ZERO), difference)
+                state = where(left_out, ints(np.int32(EXCLUDED)), state)
             start = (v - top) * (right - left) + u - left
             store_lanes(out.differences, start, right - u, difference, before, float_buffer)
             store_lanes(out.states, start, right - u, state, before, int_buffer)

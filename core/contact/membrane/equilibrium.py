@@ -52,7 +52,7 @@ class Differences:
     counts: Uint16Array  # Raw proximity depth
     unit_m: np.float32  # Metres of a count
     usable: BoolArray  # Has both depths, less than the largest difference between them, and not the mask's colour
-    excluded: BoolArray  # Outside the region or range
+    excluded: BoolArray  # Outside the region, or on the membrane outside the range
     unseen: BoolArray  # Without one of both depths
     bias_m: float  # The bias that was subtracted from the proximity depth before it was aligned
     #: (N,): The differences of some pixels with the mask's colour.

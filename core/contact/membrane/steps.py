@@ -85,7 +85,8 @@ def differences_at(
     """
     bias_m = (known.mean_m if section.bias else 0.0) + frame_bias_m
     largest_m = float(np.float32(_WIDE_M if section.bias else _NEAR_M))
-    tiles, possible = pixels.coarse.tiles(depth_images(frame), pixels.limits, largest_m + abs(bias_m))
+    any_depth = pixels.limits._replace(nearest_m=np.float32(0), farthest_m=np.float32(np.inf))
+    tiles, possible = pixels.coarse.tiles(depth_images(frame), any_depth, largest_m + abs(bias_m))
     if possible == 0:
         return None
     width, height, *_ = pixels.alignment.size

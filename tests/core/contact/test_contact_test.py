@@ -90,6 +90,14 @@ def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):
     assert all(verdict.explanation.endswith(".") for verdict in Provenance)
 
 
+def test_a_range_around_the_membrane_changes_no_patch(rig, scene):
+    """What lies far behind tells that the membrane is free there, also where the range ends before it."""
+    limited = MEMBRANE.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.35)})
+    whole, patch = (ContactPipeline(preset, rig).process(scene) for preset in (MEMBRANE, limited))
+    np.testing.assert_array_equal(patch.mask, whole.mask)
+    np.testing.assert_array_equal(patch.points, whole.points)
+
+
 def test_points_belong_to_the_masks_pixels_in_order_and_lie_between_both_surfaces(rig, scene):
     patch = ContactPipeline(MEMBRANE, rig).process(scene)
     rays = ray_table(rig.proximity.intrinsics)[patch.mask]
