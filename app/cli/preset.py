@@ -80,6 +80,8 @@ def new(
     if made_for is None:
         origin = "the paper's preset names" if start is None else f"the preset {start} names"
         raise PresetError(f"{origin} no rig; add --rig with a rig.json, another preset or a source of frames")
+    if not made_for.has_proximity and base.test.needs_proximity:
+        base = base.with_values({"contact_test": "pressure"})
     preset = base.model_copy(update={"rig": made_for, "created": now(), "modified": now()}).with_values(values)
     if start is not None and preset.untouched is not None:
         copy_untouched(preset.untouched, Path(start), out)
@@ -102,9 +104,12 @@ def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file
 @preset_commands.command()
 def validate(preset: Annotated[str, typer.Argument(metavar="FILE", help="A preset file or a recording.")]) -> None:
     """Check a preset file."""
+    from ...core.rig.untouched import load_untouched
     from ...core.sources.presets import load_preset_and_note
 
     loaded, older = load_preset_and_note(preset)
+    if loaded.untouched is not None:
+        load_untouched(loaded.untouched, Path(preset))
     cameras = () if loaded.rig is None else loaded.rig.cameras
     made_for = " and ".join(f"{camera.model} {camera.serial}".strip() for camera in cameras) or "any rig"
     say(f"{preset}: good, preset {loaded.name!r} for {made_for}" + (f", {older}" if older else ""))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from PyQt6.QtGui import QValidator
 from PyQt6.QtWidgets import QDialog, QDoubleSpinBox
 
 from ...core.errors import CalibrationError, as_sentence
@@ -13,7 +14,7 @@ from ..context import Context
 
 _PROMPT = (
     "Press an object in the middle of the membrane against a scale, and hold still. Type what the scale reads; it was "
-    "at zero before. One firm press is enough, more show how well they follow."
+    "at zero before. One firm press is enough; more show how well the forces agree."
 )
 _COLUMNS = (
     Column("Frame", lambda press: press.frame, "Number of the frame", decimals=0, sample="100,000"),
@@ -31,6 +32,20 @@ _COLUMNS = (
 _GRAVITY = 9.80665
 
 
+class NewtonField(QDoubleSpinBox):
+    """A force in newtons; a comma is a point, where Qt takes it for a separator of thousands."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setRange(0.0, 10_000.0)
+        self.setDecimals(3)
+        self.setSuffix(" N")
+        self.setToolTip(f"Force that the scale reads now, newtons; 100 g are {0.1 * _GRAVITY:.3f} N")
+
+    def validate(self, text: str | None, at: int) -> tuple[QValidator.State, str, int]:
+        return super().validate((text or "").replace(",", "."), at)
+
+
 class ForceWindow(QDialog):
     """A table of frames and forces, the pressure that fits them, and the button that puts it into the preset.
 
@@ -44,11 +59,7 @@ class ForceWindow(QDialog):
         self._context = context
         self._presses: list[Press] = []
         self.found: Inflation | None = None
-        self.force = QDoubleSpinBox()
-        self.force.setRange(0.0, 10_000.0)
-        self.force.setDecimals(3)
-        self.force.setSuffix(" N")
-        self.force.setToolTip(f"Force that the scale reads now, newtons; 100 g are {0.1 * _GRAVITY:.3f} N")
+        self.force = NewtonField()
         self.add = push_button("&Add press", "Add the frame on the screen with this force (Ctrl+Return)", "Ctrl+Return")
         self.remove = push_button("&Remove", "Remove the selected presses (Del)")
         self.table = RecordTable(_COLUMNS, "Presses", "Presses with their forces", key=lambda press: press.frame)

@@ -70,7 +70,7 @@ def check_test(preset: Preset, rig: Rig) -> None:
     if preset.test.needs_proximity and not rig.has_proximity:
         raise RigMismatchError(
             f"the contact test {preset.contact_test} compares two cameras, and this rig has a tactile camera only; "
-            "choose the contact test pressure (contact_test=pressure)"
+            "choose the contact test pressure, as by --set contact_test=pressure"
         )
 
 

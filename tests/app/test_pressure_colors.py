@@ -212,7 +212,7 @@ def test_force_is_calibrated_by_presses_on_a_scale(shown, qtbot, pressed):
     qtbot.waitUntil(window.isVisible)
     window.force.setFocus()
     window.force.selectAll()
-    QTest.keyClicks(window.force, f"{np.linalg.norm(truth.force_n):.3f}")
+    QTest.keyClicks(window.force, f"{np.linalg.norm(truth.force_n):.3f}".replace(".", ","))
     QTest.mouseClick(window.add, Qt.MouseButton.LeftButton)
     assert window.note.text() and not window.table.records()  # another contact test tells no force
     edit(shown, qtbot, contact_test="pressure")

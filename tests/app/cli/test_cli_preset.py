@@ -2,8 +2,9 @@
 
 import json
 
+from tactune.core.model.frames import Rig
 from tactune.core.model.rig_file import load_rig
-from tactune.core.preset import Preset
+from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset import file as preset_file
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.presets import load_preset
@@ -43,6 +44,14 @@ def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(tactune, rec
     assert made("d.json", "membrane.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
 
 
+def test_a_new_preset_of_one_camera_has_the_test_of_one_camera(tactune, recording, tmp_path):
+    one, two = tmp_path / "one.json", tmp_path / "two.json"
+    save_preset(Preset(rig=Rig.of_one_camera(load_rig(recording / "rig.json").tactile)), one)
+    made = tactune("preset", "new", "--from", one, "--out", two)
+    assert made.status == 0 and not made.err
+    assert load_preset(two).contact_test == "pressure"
+
+
 def test_new_starts_from_another_preset_and_its_rig(tactune, recording, tmp_path):
     first, second, third = (tmp_path / f"{name}.json" for name in ("first", "second", "third"))
     rig = load_rig(recording / "rig.json")
@@ -79,6 +88,9 @@ def test_validate_names_the_good_and_the_bad(tactune, tmp_path):
     bad.write_text(json.dumps(document))
     assert tactune("preset", "validate", good).out == f"{good}: good, preset 'fine' for any rig\n"
     assert "bad.json: tolerance.t is -1" in tactune("preset", "validate", bad).sentence
+    record = UntouchedRecord(file="untouched-0123456789ab.npz", sha256="0" * 64, frames=15)
+    save_preset(Preset(untouched=record), tmp_path / "alone.json")
+    assert "untouched-0123456789ab.npz" in tactune("preset", "validate", tmp_path / "alone.json").sentence
 
 
 def test_validate_names_fields_that_are_gone_in_files_and_recordings(tactune, recording, tmp_path, monkeypatch):
