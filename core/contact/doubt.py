@@ -2,13 +2,14 @@
 
 The probability begins with what is known of the bias between the cameras, since with a wrong bias a hovering object
 passes for contact. Then the untouched frame is heard: a touch dents the membrane, by at least what its area lifts
-against the pressure. Reasons for doubt are named in words.
+against the pressure; and where the proximity camera saw the membrane itself before, it sees a print or dirt, no object.
+Reasons for doubt are named in words.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -38,7 +39,10 @@ _REACH: Final = 8.0
 _MAX_DENT_M: Final = 0.002
 #: Standard deviation of a dent that no averaging reduces, metres, and share of the movement elsewhere that adds to it.
 _DENT_FLOOR_M, _MOVED_SHARE = 0.0003, 0.5
-#: Largest evidence of one dent, natural logarithm of odds.
+#: Where proximity and tactile depth have moved alike since the untouched frame, within this, metres, the proximity
+#: camera sees the membrane itself.
+_ALIKE_M: Final = 0.004
+#: Largest evidence of the untouched frame, natural logarithm of odds.
 _MAX_EVIDENCE: Final = 4.0
 LOST_PRINTS: Final = "prints gone from the mask"
 #: Prints are gone from the mask if it covers less than this share of what it covers in the untouched frame.
@@ -72,7 +76,7 @@ class Judge:
     ) -> DoubtOf:
         """Return a function that tells the `Doubt` about one contact of a frame."""
         whole = Lazy(lambda: self._whole_frame(frame, preset, facts))
-        moved = Lazy(lambda: self._moved_everywhere_m(frame.tactile_depth))
+        moved = Lazy(lambda: self._dents_m(frame, _GRID))
         noise_m4 = rig_bias(preset.noise, self._pixels.rig).noise_m4
 
         def doubt_of(contact: Candidates) -> Doubt:
@@ -85,9 +89,12 @@ class Judge:
             odds += math.log(area_m2 / (area_m2 + _SMALL_M2))
             evidence = 0.0
             if len(contact) >= _FEWEST_POINTS and self._pixels.untouched is not None:
-                evidence = self._dent_evidence(contact, area_m2, frame, facts, noise_m4, moved.get())
-            if evidence < _MISSING:
-                reasons = (*reasons, "no dent")
+                dent_m, elsewhere_m, behind_m = self._moved_in(contact, frame, moved.get())
+                if abs(behind_m) < _ALIKE_M and preset.test.needs_proximity:
+                    evidence, reasons = -_MAX_EVIDENCE, (*reasons, "print or dirt")
+                elif not math.isnan(dent_m):
+                    evidence = _dent_evidence(dent_m, elsewhere_m, area_m2, facts, noise_m4)
+                    reasons = (*reasons, "no dent") if evidence < _MISSING else reasons
             if pressure is not None:
                 more, doubts = _pressure_evidence(contact, pressure)
                 evidence, reasons = evidence + more, (*reasons, *doubts)
@@ -137,61 +144,62 @@ class Judge:
         harmless = abs(known.mean_m) <= preset.test.bias_limits(preset, distance_m).good_m
         return known.measured and harmless, known.measured and not harmless
 
-    def _dent_evidence(
-        self,
-        contact: Candidates,
-        area_m2: float,
-        frame: SensorFrame,
-        facts: MembraneFacts | None,
-        noise_m4: float,
-        everywhere_m: Float32Array,
-    ) -> float:
-        """Return the logarithm of how much likelier the measured dent is of a touched membrane than of another one.
+    def _moved_in(
+        self, contact: Candidates, frame: SensorFrame, everywhere_m: Float32Array
+    ) -> tuple[float, float, float]:
+        """Return how far the membrane in contact has moved towards the camera, and elsewhere; nan if unseen.
 
-        A flat contact of area A dents a membrane of twice the mean curvature c by A c ln(R / r) / (2 pi) at least,
-        where r is its radius and R the membrane's: the force is p A, the tension p / c.
-        """
-        dent_m, elsewhere_m = self._dent_m(contact, frame.tactile_depth, everywhere_m)
-        if math.isnan(dent_m):
-            return 0.0
-        curved = USUAL_PER_M if facts is None else facts.used_curvature_per_m
-        expected_m = min(area_m2 * curved * math.log(_REACH) / (2 * math.pi), _MAX_DENT_M)
-        elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
-        sigma_m2 = noise_m4 / area_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2
-        evidence = (dent_m - elsewhere_m - expected_m / 2) * expected_m / sigma_m2
-        return min(max(evidence, -_MAX_EVIDENCE), _MAX_EVIDENCE)
-
-    def _dent_m(self, contact: Candidates, tactile: Uint16Array, everywhere_m: Float32Array) -> tuple[float, float]:
-        """Return how far the membrane in contact has moved towards the camera, and how far elsewhere; nan if unseen.
-
+        The third is how much farther what the proximity camera sees in contact has moved; infinite if it saw nothing.
         Elsewhere is outside the box around the contact in the tactile image.
         """
-        pixels = self._pixels
-        assert pixels.untouched is not None
+        pixels, before = self._pixels, self._pixels.untouched
+        assert before is not None
         some = np.s_[:: max(len(contact) // _MAX_POINTS, 1)]
         where = pixels.alignment.tactile_pixels(contact.pixels[some], contact.points[some, 2], pixels.rig)
-        height, width = tactile.shape
+        height, width = frame.tactile_depth.shape
         u, v = np.rint(np.nan_to_num(where, nan=-1.0)).astype(np.int64)
         seen = (u >= 0) & (u < width) & (v >= 0) & (v < height)
         if not seen.any():
-            return math.nan, math.nan
-        u, v, elsewhere_m = u[seen], v[seen], everywhere_m.copy()
+            return math.nan, math.nan, math.nan
+        u, v, elsewhere_m, places = u[seen], v[seen], everywhere_m.copy(), contact.pixels[some][seen]
         top, bottom, left, right = (int(side) // _STEP_PX for side in (v.min(), v.max(), u.min(), u.max()))
         elsewhere_m[top : bottom + 1, left : right + 1] = np.nan
-        return median(self._moved_m(pixels.untouched.tactile_depth[v, u], tactile[v, u])), median(elsewhere_m)
+        dent_m = self._dents_m(frame, (v, u))
+        depths = (each.proximity_depth.reshape(-1)[places] for each in (before, frame))
+        behind_m = _moved_m(*depths, np.float32(pixels.rig.proximity.depth_unit_m)) - dent_m
+        return median(dent_m), median(elsewhere_m), float(np.median(np.nan_to_num(behind_m, nan=np.inf)))
 
-    def _moved_everywhere_m(self, tactile: Uint16Array) -> Float32Array:
-        """Return the movement towards the camera in every `_STEP_PX`-th row and column; there is an untouched frame."""
+    def _dents_m(self, frame: SensorFrame, where: Any) -> Float32Array:
+        """Return how far the membrane has moved towards the camera; there is an untouched frame."""
         assert self._pixels.untouched is not None
-        return self._moved_m(self._pixels.untouched.tactile_depth[_GRID], tactile[_GRID])
-
-    def _moved_m(self, before: Uint16Array, now: Uint16Array) -> Float32Array:
-        moved = (before.astype(np.float32) - now) * self._tactile_unit_m
-        return np.asarray(np.where(valid_depth(before) & valid_depth(now), moved, np.float32(np.nan)))
+        before, now = (each.tactile_depth[where] for each in (self._pixels.untouched, frame))
+        return _moved_m(before, now, self._tactile_unit_m)
 
     @property
     def _tactile_unit_m(self) -> np.float32:
         return np.float32(self._pixels.alignment.tables.tactile_unit_m)
+
+
+def _moved_m(before: Uint16Array, now: Uint16Array, unit_m: np.float32) -> Float32Array:
+    """Return how far depths have moved towards the camera; nan where one is missing."""
+    moved = (before.astype(np.float32) - now) * unit_m
+    return np.asarray(np.where(valid_depth(before) & valid_depth(now), moved, np.float32(np.nan)))
+
+
+def _dent_evidence(
+    dent_m: float, elsewhere_m: float, area_m2: float, facts: MembraneFacts | None, noise_m4: float
+) -> float:
+    """Return the logarithm of how much likelier a dent is of a touched membrane than of another one.
+
+    A flat contact of area A dents a membrane of twice the mean curvature c by A c ln(R / r) / (2 pi) at least, where r
+    is its radius and R the membrane's: the force is p A, the tension p / c.
+    """
+    curved = USUAL_PER_M if facts is None else facts.used_curvature_per_m
+    expected_m = min(area_m2 * curved * math.log(_REACH) / (2 * math.pi), _MAX_DENT_M)
+    elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
+    sigma_m2 = noise_m4 / area_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2
+    evidence = (dent_m - elsewhere_m - expected_m / 2) * expected_m / sigma_m2
+    return min(max(evidence, -_MAX_EVIDENCE), _MAX_EVIDENCE)
 
 
 def _pressure_evidence(contact: Candidates, facts: PressureFacts) -> tuple[float, tuple[str, ...]]:

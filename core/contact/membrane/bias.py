@@ -209,8 +209,12 @@ def _near(differences: Differences, centre_m: float) -> Differences | None:
 
 
 def _variance_m2(known: RigBias, area_m2: float) -> float:
-    """Return the variance of a bias from contact of an area; its last term is noise that is taken for contact."""
-    return known.noise_m4 / area_m2 + known.gap_sigma_m**2
+    """Return the variance of a bias from contact of an area.
+
+    Its last term is noise that is taken for contact: it hides a gap of its own size, but the gap of a curved membrane
+    that touches nowhere grows in proportion to the area.
+    """
+    return known.noise_m4 / area_m2 + (known.gap_sigma_m * min(FIRM_M2 / area_m2, 1.0)) ** 2
 
 
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:

@@ -41,9 +41,25 @@ def test_a_touch_that_dents_the_membrane_is_sure_and_one_that_does_not_is_doubte
     assert doubt.touch_probability > SURE
     assert doubt.reasons == ()
     assert 0 < doubt.boundary_error_mm < 10
-    still = ContactPipeline(preset, touch.rig, frame).process(frame).doubt  # as if it had looked like this untouched
+    same = replace(untouched, tactile_depth=frame.tactile_depth)
+    still = ContactPipeline(preset, touch.rig, same).process(frame).doubt
     assert still.touch_probability < SURE
     assert still.reasons == ("no dent",)
+
+
+def test_what_the_proximity_camera_saw_there_untouched_is_no_sure_contact(rig):
+    """A smear hides the colour of the prints, which still reflect infrared."""
+    preset, untouched, touch, hover = rig
+    for source in (touch, hover):
+        frame = source.read(0)
+        smeared = replace(frame, proximity_color=np.full_like(frame.proximity_color, 128))
+        patch = ContactPipeline(preset, source.rig, untouched).process(smeared)
+        true = frame.truth.contact[patch.mask]
+        false = [contact.doubt for contact in patch.contacts if not true[contact.members].any()]
+        assert false
+        assert all("print or dirt" in doubt.reasons and doubt.touch_probability < SURE for doubt in false)
+        touching = [contact.doubt for contact in patch.contacts if true[contact.members].any()]
+        assert all("print or dirt" not in doubt.reasons and doubt.touch_probability > SURE for doubt in touching)
 
 
 @pytest.mark.parametrize("drift_m", [0.0015, -0.0015])
@@ -126,10 +142,10 @@ def test_a_measured_bias_that_the_contact_test_does_not_correct_is_a_reason_for_
 
 def test_what_moves_everywhere_is_no_dent(rig):
     """Another inflation brings the whole membrane nearer; a touch there must still dent it."""
-    preset, _, touch, _ = rig
+    preset, untouched, touch, _ = rig
     frame = touch.read(0)
     farther = np.where(frame.tactile_depth > 0, frame.tactile_depth + 15, 0).astype(np.uint16)
-    before = replace(frame, tactile_depth=farther)
+    before = replace(untouched, tactile_depth=farther)
     assert "no dent" in ContactPipeline(preset, touch.rig, before).process(frame).doubt.reasons
 
 
