@@ -52,7 +52,8 @@ _SMALL_M2: Final = 15e-6
 #: A contact with a boundary error of more than this share of its radius may be none: odds fall by the second, natural
 #: logarithm, for each radius that the error is larger. Beyond the third share it is said.
 _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
-#: There is too little depth, or more noise than measured, beyond these values of `Boundary`.
+#: There is too little depth, or more noise than measured, beyond these values of `Boundary`; too little also where this
+#: share of the tactile depth is lost.
 _MANY_UNSEEN, _NOISIER = 0.2, 1.35
 #: A dent is missing, and said to be, from this evidence on.
 _MISSING: Final = -1.0
@@ -128,10 +129,16 @@ class Judge:
         boundary = Boundary(math.nan, 0.0, 1.0) if facts is None else facts.boundary.get()
         if boundary.noise_ratio > _NOISIER:
             wrong.append("more noise than measured")
-        if boundary.unseen_share > _MANY_UNSEEN:
+        if max(boundary.unseen_share, self._lost_share(frame.tactile_depth)) > _MANY_UNSEEN:
             reasons.append("too little depth")
         odds = math.log(probability / (1 - probability)) + len(wrong) * math.log(_WRONG_ODDS)
         return odds, (*reasons, *wrong), 1e3 * boundary.error_m
+
+    def _lost_share(self, tactile: Uint16Array) -> float:
+        """Return the share of the untouched frame's tactile depth that is missing now."""
+        before = self._pixels.untouched
+        seen = np.empty(0, np.bool_) if before is None else valid_depth(before.tactile_depth[_GRID])
+        return float(np.mean(~valid_depth(tactile[_GRID])[seen])) if seen.any() else 0.0
 
     def _bias_measured(self, frame: SensorFrame, preset: Preset) -> tuple[bool, bool]:
         """Return whether the bias is known before a frame is seen, and whether it is known but not corrected."""
@@ -149,7 +156,7 @@ class Judge:
     ) -> tuple[float, float, float]:
         """Return how far the membrane in contact has moved towards the camera, and elsewhere; nan if unseen.
 
-        The third is how much farther what the proximity camera sees in contact has moved; infinite if it saw nothing.
+        The third is how much farther what the proximity camera sees in contact has moved; large if it saw nothing.
         Elsewhere is outside the box around the contact in the tactile image.
         """
         pixels, before = self._pixels, self._pixels.untouched
@@ -165,9 +172,9 @@ class Judge:
         top, bottom, left, right = (int(side) // _STEP_PX for side in (v.min(), v.max(), u.min(), u.max()))
         elsewhere_m[top : bottom + 1, left : right + 1] = np.nan
         dent_m = self._dents_m(frame, (v, u))
-        depths = (each.proximity_depth.reshape(-1)[places] for each in (before, frame))
-        behind_m = _moved_m(*depths, np.float32(pixels.rig.proximity.depth_unit_m)) - dent_m
-        return median(dent_m), median(elsewhere_m), float(np.median(np.nan_to_num(behind_m, nan=np.inf)))
+        then, now = (each.proximity_depth.reshape(-1)[places] for each in (before, frame))
+        behind_m = _moved_m(then, now, np.float32(pixels.rig.proximity.depth_unit_m)) - dent_m
+        return median(dent_m), median(elsewhere_m), median(np.nan_to_num(behind_m, nan=1.0))
 
     def _dents_m(self, frame: SensorFrame, where: Any) -> Float32Array:
         """Return how far the membrane has moved towards the camera; there is an untouched frame."""
