@@ -96,7 +96,7 @@ class ViewArea(QWidget):
         self.point_size.setValue(2)
         self.point_size.setFixedWidth(60)
         self.point_size.setAccessibleName("Point size")
-        self.point_size.setToolTip("Point size in pixels")
+        self.point_size.setToolTip("Point size in pixels; one more where that closes gaps")
         self.point_size.valueChanged.connect(self._resize_points)
         self._lay_out()
         for action in (*self.toggles.values(), actions.show_strip):

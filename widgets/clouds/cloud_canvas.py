@@ -181,7 +181,7 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 
 
 _NO_INDEX = np.zeros((0, 0), np.uint8)
-#: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
+#: Largest distance between drawn points as a share of their size: they overlap.
 _APART = 0.75
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
@@ -192,7 +192,7 @@ class Look(NamedTuple):
 
     camera: ViewCamera
     size: tuple[int, int]  # Width and height
-    point_size: int  # Edge length of a point
+    point_size: int  # Edge length of a point, one more where that closes the gaps between them
     background: tuple[int, int, int]
     running: bool  # Frames follow each other, so points that would hide each other are left out
 
@@ -207,7 +207,7 @@ class SoftwareRenderer:
         self._background, self._colors = (0, 0, 0), np.empty(0, np.uint32)
         self._rays_of: Float32Array | None = None
         self._look: Look | None = None
-        self._step, self._rays = 1, np.empty((2, 0, 0), np.float32)
+        self._step, self._point_size, self._rays = 1, 1, np.empty((2, 0, 0), np.float32)
         self._drawn: tuple[DepthCloud | None, Look] | None = None
         self._picture = QImage()
 
@@ -221,11 +221,9 @@ class SoftwareRenderer:
 
     def render(self, cloud: DepthCloud | None, look: Look) -> npt.NDArray[np.uint32]:
         """Return the picture as 0xffRRGGBB, uint32 (height, width); the next call overwrites it."""
-        (width, height), margin = look.size, 2 * look.point_size
+        width, height = look.size
         if self._buffer.shape != (height, width):
             self._buffer = np.empty((height, width), np.uint32)
-        if self._pixels.shape != (height + margin, width + margin):
-            self._pixels = np.empty((height + margin, width + margin), np.uint32)
         red, green, blue = look.background
         argb = 0xFF000000 | red << 16 | green << 8 | blue
         if cloud is None:
@@ -233,14 +231,16 @@ class SoftwareRenderer:
             return self._buffer
         step = self._step
         if self._rays_of is not cloud.rays or self._look != look:
-            self._look, step = look, _running_step(cloud, look) if look.running else 1
+            self._look, (step, self._point_size) = look, _step_and_size(cloud, look)
         if self._rays_of is not cloud.rays or self._step != step:
             self._rays_of, self._step = cloud.rays, step
             self._rays = np.ascontiguousarray(np.moveaxis(cloud.rays[::step, ::step], 2, 0))
         if self._lut is not cloud.lut or self._background != look.background:
             self._lut, self._background = cloud.lut, look.background
             self._colors = _packed(over_background(cloud.lut, look.background))
-        camera = look.camera
+        camera, size, margin = look.camera, self._point_size, 2 * self._point_size
+        if self._pixels.shape != (height + margin, width + margin):
+            self._pixels = np.empty((height + margin, width + margin), np.uint32)
         scatter(
             cloud.depth,
             self._rays,
@@ -250,24 +250,31 @@ class SoftwareRenderer:
             np.array([cloud.metres_per_count, cloud.depth_offset_m, *cloud.index_from_depth], np.float32),
             np.array([NEAR * camera.distance, FAR * camera.distance], np.float32),
             step,
-            look.point_size,
+            size,
             self._pixels,
         )
-        squares(self._pixels, look.point_size, self._colors, argb, self._buffer)
+        squares(self._pixels, size, self._colors, argb, self._buffer)
         return self._buffer
 
 
-def _running_step(cloud: DepthCloud, look: Look) -> int:
-    """Return 2 if every other row and column overlap in the middle, at the far end of the colours; more leave holes."""
+def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
+    """Return the step between the rows and columns that are drawn, and the edge length of their points.
+
+    Points are one pixel larger if they then overlap in the centre of the view, at the far end of the colours. While
+    frames follow each other, every other row and column is left out if the rest overlaps.
+    """
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
-        return 1
+        return 1, look.point_size
     v, u = height // 2 - 1, width // 2 - 1
     rays = np.array([(*cloud.rays[v + down, u + right], 1.0) for down, right in ((0, 0), (0, 1), (1, 0))])
     places = cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3]
     seen = look.camera.project(places, *look.size)
-    apart = 2.0 * np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()
-    return 2 if (seen[:, 2] > 0).all() and apart <= _APART * look.point_size else 1
+    needed = float(np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()) / _APART
+    if not (seen[:, 2] > 0).all():
+        return 1, look.point_size
+    step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
+    return step, look.point_size + (look.point_size < step * needed <= look.point_size + 1)
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:

@@ -236,7 +236,7 @@ class ImagePane(QWidget):
         self.viewChanged.emit(self.box.viewRect())
 
     def _recolor(self) -> None:
-        self.view.setBackground(theme_colors().base)
+        self.view.setBackground(theme_colors().window)
 
     def _pixel_at(self, scene_position: QPointF) -> tuple[int, int]:
         point = self.box.mapSceneToView(scene_position)
