@@ -23,7 +23,7 @@ from .results import ComparedFrame, ComparedSide, Rendered, Result, SourceInfo, 
 #: the depth colours while frames play, seconds: nobody reads them faster.
 COUNTING_INTERVAL_S = 0.2
 #: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
-STRIP_INTERVAL_S = 0.06
+STRIP_INTERVAL_S = 0.09
 #: Number of frames whose times are kept for a comparison.
 TIMED_FRAMES = 30
 

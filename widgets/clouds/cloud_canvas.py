@@ -91,9 +91,7 @@ def scatter(
         A margin of ``size`` on every side saves asking for the edges.
     """
     metres_per_count, offset, slope, intercept = depths
-    m00, m01, m02, m03 = matrix[0]
-    m10, m11, m12, m13 = matrix[1]
-    m20, m21, m22, m23 = matrix[2]
+    (m00, m01, m02, m03), (m10, m11, m12, m13), (m20, m21, m22, m23) = matrix[0], matrix[1], matrix[2]
     near, far = limits
     nearest = limits.view(np.int32)[0]
     stride = np.int32(pixels.shape[1])
@@ -102,29 +100,32 @@ def scatter(
     last = np.float32(size) + np.float32(0.5) * np.float32(size) - np.float32(0.5)
     flat = pixels.reshape(-1)
     flat[:] = _EMPTY
-    height, width = depth.shape
-    rows, columns = rays.shape[1:]
-    count = np.empty(columns, np.uint16)
-    place = np.empty(columns, np.int32)
-    distance = np.empty(columns, np.float32)
+    (height, width), (_, rows, columns) = depth.shape, rays.shape
+    count, shade = np.empty(columns, np.uint16), np.empty(columns, np.uint8)
+    place, distance = np.empty(columns, np.int32), np.empty(columns, np.float32)
     bits = distance.view(np.int32)
-    shade = np.empty(columns, np.uint8)
     indexed = index.shape[0] > 0
     zero, one = np.float32(0), np.float32(1)
     for row in range(rows):
         # First what is drawn of a row …
+        i = row * step
+        line, below = depth[i], depth[min(i + 1, height - 1)]
         for column in range(columns):
-            i, j = row * step, column * step
-            if step > 1 and (depth[i, j] == 0 or depth[i, j] > HIGHEST_COUNT) and i + 1 < height and j + 1 < width:
-                i, j = i + 1, j + 1
-            count[column] = depth[i, j]
-            if indexed:
+            j = column * step
+            seen = line[j]
+            if step > 1 and (seen == 0 or seen > HIGHEST_COUNT) and i + 1 < height and j + 1 < width:
+                seen = below[j + 1]
+                if indexed:
+                    shade[column] = index[i + 1, j + 1]
+            elif indexed:
                 shade[column] = index[i, j]
+            count[column] = seen
         # … then the arithmetic without branches, which the compiler vectorises …
+        across, down = rays[0, row], rays[1, row]
         for column in range(columns):
             counts = np.float32(count[column])
             z = counts * metres_per_count + offset
-            x, y = rays[0, row, column], rays[1, row, column]
+            x, y = across[column], down[column]
             w = z * (m20 * x + m21 * y + m22) + m23
             inverse = one / w
             u = (z * (m00 * x + m01 * y + m02) + m03) * inverse
@@ -165,24 +166,35 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
     nearest = np.empty(pixels.shape[1], np.uint32)
     widened = np.empty(width, np.uint32)
     for i in range(height):
-        for j in range(nearest.shape[0]):  # assigning the row as a whole would take 3 s longer to compile
-            nearest[j] = pixels[i + size, j]
-        for below in range(1, size):
+        # Assigning rows as a whole would take 3 s longer to compile. With one row, the first is the last.
+        first, last, out, seen = pixels[i + size], pixels[i + 2 * size - 1], image[i], _EMPTY
+        for j in range(nearest.shape[0]):
+            nearest[j] = min(first[j], last[j])
+        for below in range(1, size - 1):
+            row = pixels[i + size + below]
             for j in range(nearest.shape[0]):
-                nearest[j] = min(nearest[j], pixels[i + size + below, j])
+                nearest[j] = min(nearest[j], row[j])
+        for j in range(nearest.shape[0]):
+            seen = min(seen, nearest[j])
+        if seen == _EMPTY:
+            for j in range(width):
+                out[j] = background
+            continue
         for j in range(width):
-            widened[j] = nearest[j + size]
-        for beside in range(1, size):
+            widened[j] = min(nearest[j + size], nearest[j + 2 * size - 1])
+        for beside in range(1, size - 1):
             for j in range(width):
                 widened[j] = min(widened[j], nearest[j + size + beside])
         for j in range(width):
             pixel = widened[j]
-            image[i, j] = background if pixel == _EMPTY else colors[pixel & np.uint32(255)]
+            out[j] = background if pixel == _EMPTY else colors[pixel & np.uint32(255)]
 
 
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points as a share of their size: they overlap.
 _APART = 0.75
+#: Largest step between the rows and columns that are drawn.
+_MAX_STEP = 4
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
@@ -261,7 +273,7 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     """Return the step between the rows and columns that are drawn, and the edge length of their points.
 
     Points are one pixel larger if they then overlap in the centre of the view, at the far end of the colours. While
-    frames follow each other, every other row and column is left out if the rest overlaps.
+    frames follow each other, rows and columns are left out as long as the rest overlaps.
     """
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
@@ -273,7 +285,9 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     needed = float(np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()) / _APART
     if not (seen[:, 2] > 0).all():
         return 1, look.point_size
-    step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
+    step = 1
+    if look.running and 2 * needed <= look.point_size + 1:
+        step = min(max(int(look.point_size / needed), 2), _MAX_STEP)
     return step, look.point_size + (look.point_size < step * needed <= look.point_size + 1)
 
 
