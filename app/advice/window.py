@@ -114,7 +114,7 @@ class SuggestWindow(QDialog):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context.window)
-        self.setWindowTitle("Suggestions – Tactune")
+        self.setWindowTitle("Suggestions")
         self._context, self._document = context, context.document
         self._section = ALL
         self._shown: Side | None = None

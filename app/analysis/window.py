@@ -101,7 +101,7 @@ class AnalysisWindow(QDialog):
     def __init__(self, kinds: Mapping[str, TabKind], context: Context, play: QAction) -> None:
         super().__init__()  # a window with a parent would lie over the main window, which it previews
         context.window.destroyed.connect(self.deleteLater)
-        self.setWindowTitle("Analysis – Tactune")
+        self.setWindowTitle("Analysis")
         self.setWindowFlags(Qt.WindowType.Window)
         self._kinds, self._context, self._play = kinds, context, play
         self._names = list(kinds)

@@ -37,6 +37,7 @@ _TIPS = (
     "Compare the new alignment with the present one, and save it",
 )
 _SAVE = STEPS.index("Save")
+_WORSE = "The present alignment is expected to be better than the new one."
 #: The fields of the preset that a calibration sets.
 _POINTS = "Points (*.csv)"
 
@@ -46,7 +47,7 @@ class CalibrationWizard(QDialog):
 
     def __init__(self, context: Context, rig: Rig) -> None:
         super().__init__(context.window)
-        self.setWindowTitle("Calibrate – Tactune")
+        self.setWindowTitle("Calibrate")
         self.setWindowFlag(Qt.WindowType.WindowMaximizeButtonHint)
         self._context, self._document = context, context.document
         self._dialogs = context.dialogs.over(self)
@@ -228,7 +229,7 @@ class CalibrationWizard(QDialog):
         return {
             "Points": f"{counted(len(rejected), 'rejected pair')}." if rejected else "",
             "Quality": unusual if judged.startswith(("Good", "Usable")) else judged,
-            "Save": "The new calibration is worse than the present alignment." if worse else "",
+            "Save": _WORSE if worse else "",
         }
 
     def _done(self, step: int) -> bool:
@@ -295,7 +296,7 @@ class CalibrationWizard(QDialog):
         words += f" {compared.sentence}" if compared is not None else ""
         self._dialogs.ask(
             "Replace the alignment",
-            "The new calibration is worse than the present alignment.",
+            _WORSE,
             f"{words} Click the pairs with the largest residuals again, or add pairs.",
             "Replace anyway",
             partial(self._save, report),

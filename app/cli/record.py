@@ -186,8 +186,8 @@ def _convert_recording(
             count = export_folder(opened, target, frames, show)
         if kept is not None and kind != "mcap":
             warn(
-                f"a {'folder' if kind == 'folder' else 'HDF5 file'} cannot hold a preset; {kept.name!r} was not "
-                "written: name it with --preset"
+                f"{'a folder' if kind == 'folder' else 'an HDF5 file'} cannot hold a preset; {kept.name!r} was not "
+                "written: give it by --preset to the commands that read the frames"
             )
         if opened.health().message:
             warn(opened.health().message)

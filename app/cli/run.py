@@ -67,8 +67,7 @@ EstimateOption = Annotated[
     Estimate | None,
     typer.Option(
         "--estimate",
-        help="Add roll, pitch and long axis of each patch with their standard deviations, from each frame alone or "
-        "filtered over time.",
+        help="Add roll, pitch and long axis of each patch with their standard deviations.",
     ),
 ]
 
@@ -162,13 +161,14 @@ def _process(
     from ...core.tuning.advice.findings import EXAMINED_EVERY, Examiner
 
     records: deque[Record] = deque(maxlen=_SUMMARY_FRAMES)
-    done, scored = 0, False
+    done, scored, first_s = 0, False, 0.0
     examiner = Examiner(source.rig)
     found: tuple[Finding, ...] = ()
     total = number_of_frames(source, frames)
     with CliProgress(quiet=lines is not None) as progress:
         for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
+            first_s = first_s if done else frame.proximity_time_s
             scores = _scores(patch, frame.truth, source.rig) if truth else {}
             scored |= scores.get("touched") is not None
             look(frame)
@@ -181,7 +181,7 @@ def _process(
                 typer.echo(json.dumps(record | {"findings": [finding.sentence for finding in found]}, allow_nan=False))
             else:
                 if lines == "text":
-                    say(_line(patch, frame, scores))
+                    say(_line(patch, frame.proximity_time_s - first_s, scores))
                 records.append({"area_mm2": patch.area_mm2, "stage_ms": patch.stage_ms, **scores})
             done += 1
             progress.frames(done, total)
@@ -219,8 +219,8 @@ def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
     }
 
 
-def _line(patch: ContactPatch, frame: SensorFrame, scores: Record) -> str:
-    """Return a frame for people: number, time, area and centroid, doubt, force (over inflation), processing time."""
+def _line(patch: ContactPatch, time_s: float, scores: Record) -> str:
+    """Return a frame for people: number, time since the first one, area and centroid, doubt, force, processing time."""
     parts = ["no contact"]
     if patch.centroid_m is not None:
         x, y, z = (1000 * coordinate for coordinate in patch.centroid_m)
@@ -235,7 +235,7 @@ def _line(patch: ContactPatch, frame: SensorFrame, scores: Record) -> str:
             parts.append(f"boundary within {patch.doubt.boundary_error_mm:.1f} mm")
     parts += [f"{key} {value:.3f}{TRUTH_KEYS[key]}" for key, value in scores.items() if type(value) is float]
     parts.append(f"{sum(patch.stage_ms.values()):.1f} ms")
-    time = f"{frame.proximity_time_s:.3f} s" if math.isfinite(frame.proximity_time_s) else "-"
+    time = f"{time_s:.3f} s" if math.isfinite(time_s) else "-"
     return "; ".join([f"{patch.sequence:6d}  {time}  {', '.join(parts)}", *patch.doubt.reasons])
 
 

@@ -28,7 +28,7 @@ class DriftWindow(QDialog):
 
     def __init__(self, parent: QWidget, calibrate: Callable[[], None], capture: Callable[[], None]) -> None:
         super().__init__(parent)
-        self.setWindowTitle("Check for drift – Tactune")
+        self.setWindowTitle("Check for drift")
         self.found: RigCheck | None = None
         self._job = Job(self)
         self.sentence, self.unchecked = wrapped_label(_CHECKING, verdict=True), wrapped_label()

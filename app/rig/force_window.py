@@ -55,7 +55,7 @@ class ForceWindow(QDialog):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context.window)
-        self.setWindowTitle("Calibrate force – Tactune")
+        self.setWindowTitle("Calibrate force")
         self._context = context
         self._presses: list[Press] = []
         self.found: Inflation | None = None

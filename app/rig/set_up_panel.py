@@ -72,7 +72,7 @@ def _judged(preset: Preset) -> str:
         return ""
     links = sorted(verdict.links_mm.items(), key=lambda link: -link[1])
     shares = ", ".join(f"{link} {error_mm:.1f}" for link, error_mm in links)
-    return f"Off by {verdict.error_mm:.1f} mm: {shares}. {_day(verdict.judged)}."
+    return f"Off by {verdict.error_mm:.1f} mm: {shares}."
 
 
 def _day(moment: datetime) -> str:
@@ -200,9 +200,9 @@ class SetUpPanel(QWidget):
         self.skip = push_button("S&kip step", "Go on without the marked step")
         self.start.setDefault(True)
         self.headline = NoteLabel(lines=4)
-        save = text_button(actions["save"])
-        top = hbox((self.start, 1), self.skip, margins=0)
-        vbox(top, self.headline, *self.rows, hbox(STRETCH, save, margins=0), STRETCH, within=self, margins=8, spacing=2)
+        self.save = text_button(actions["save"])
+        top, bottom = hbox((self.start, 1), self.skip, margins=0), hbox(STRETCH, self.save, margins=0)
+        vbox(top, self.headline, *self.rows, bottom, STRETCH, within=self, margins=8, spacing=2)
         self.setAccessibleName("Set up")
         self.start.clicked.connect(self.toggle)
         self.skip.clicked.connect(self._skip)
@@ -376,6 +376,12 @@ class SetUpPanel(QWidget):
         self.start.setEnabled(self._running or not busy)
         self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)
         self.headline.setText(self._headline(following))
+        saves = following is None and self._context.document.dirty  # the next step is blue
+        self.start.setDefault(not saves)
+        if self.save.property("primary") != saves:
+            self.save.setProperty("primary", saves)
+            if (style := self.save.style()) is not None:
+                style.polish(self.save)
 
     def _headline(self, following: StepRow | None) -> str:
         if self._waiting or self._search.busy:

@@ -149,7 +149,7 @@ class Timeline(QObject):
             return
         for each in values:
             self._series.put(each)
-        self._strip.set_words(f"Computing {self._series.computed.mean():.0%}")
+        self._strip.set_words(f"Computing {100 * self._series.computed.mean():.0f} %")
         self._show_series()
 
     def _show_series(self) -> None:

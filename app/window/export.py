@@ -24,7 +24,7 @@ from . import animation
 from .animation import Animation
 
 _PATCH = ["Patch, PLY (*.ply)", "Patch, NumPy (*.npz)", "Patch, table (*.csv)"]
-_RECORDING = ["Recording with preset, untouched frame, patches and findings (*.mcap)", "Recording, HDF5 (*.h5)"]
+_RECORDING = ["Recording to share: frames, preset, patches (*.mcap)", "Recording, HDF5 (*.h5)"]
 _ANIMATION = ["Animation of the views (*.gif)", "Animation of the views (*.mp4)"]
 _CALIBRATIONS = {
     ".urdf": ("Calibration, URDF (*.urdf)", "urdf"),
@@ -49,15 +49,22 @@ class Export(QObject):
         )
         bar.cancel.clicked.connect(self._job.cancel)
 
-    def ask(self) -> None:
-        """Ask for a file; what the window does not show, such as a patch, is not offered."""
+    def kinds(self) -> list[str]:
+        """Return what can be exported now, as filters of names; what the window does not show is not offered."""
         result = self._context.result
         if result is None:
-            return
+            return []
         two = result.source.rig.has_proximity  # else there is no transform to publish
         calibrations = [title for title, kind in _CALIBRATIONS.values() if two or kind != "ros"]
         recording = [] if result.source.length is None else _RECORDING + _ANIMATION
-        filters = [*([] if result.patch is None else _PATCH), *recording, *calibrations]
+        return [*([] if result.patch is None else _PATCH), *recording, *calibrations]
+
+    def ask(self, kind: str = "") -> None:
+        """Ask for a file, at first of one kind."""
+        result = self._context.result
+        if result is None:
+            return
+        filters = sorted(self.kinds(), key=lambda each: each != kind)
         suggestion = f"frame_{result.frame_number:06d}"
         self._context.dialogs.save_file("export", "Export", suggestion, filters, partial(self._export, result))
 

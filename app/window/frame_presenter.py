@@ -50,7 +50,7 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], shown: bool) -> str
 
 
 def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
-    """Return both distances at a proximity pixel, why it was kept or dropped, their difference, the gap, and colour."""
+    """Return two lines on a proximity pixel: distances, gap and colour; why it was kept or dropped, and by how much."""
     if patch is None:
         return color
     height, width = patch.rig.proximity.intrinsics.shape
@@ -69,13 +69,11 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
         known = pressure.inflation_pa > 0
         gap = f"pressure {1e-3 * pressure.inflation_pa * q:.2f} kPa" if known else f"pressure {q:.2f} × inflation"
     # What a narrow window cuts off comes last.
-    two = patch.rig.has_proximity
-    parts = [f"({u}, {v})", f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}", why, gap]
+    two, difference = patch.rig.has_proximity, ""
     if two and math.isfinite(relative):
-        difference = minus(f"{relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
-        parts.append(f"(dp − dt) / dp = {difference}")
-    parts.append(color)
-    return "   ".join(filter(None, parts))
+        difference = f"(dp − dt) / dp = {minus(f'{relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)')}"
+    numbers = (f"({u}, {v})", f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}", gap, color)
+    return "\n".join("   ".join(filter(None, parts)) for parts in (numbers, (why, difference)))
 
 
 def _metres(value: float) -> str:

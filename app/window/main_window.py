@@ -188,6 +188,7 @@ class MainWindow(QMainWindow):
         for path, row in self.panel.rows.items():
             section = self.panel.sections[path.partition(".")[0]].title
             found.append((f"{section}: {row.spec.title}", "parameter", partial(self._show_parameter, path)))
+        found += [(f"Export: {kind}", "", partial(self.export.ask, kind)) for kind in self.export.kinds()]
         return found
 
     def _show_parameter(self, path: str) -> None:
@@ -425,7 +426,7 @@ class MainWindow(QMainWindow):
     def _show_document(self) -> None:
         preset = self.document.preset
         self.strip.set_region(preset.region.rectangle if preset.region.enabled else None)
-        self.setWindowTitle(f"{preset.name}[*] – Tactune")
+        self.setWindowTitle(f"{preset.name}[*]")
         self.setWindowModified(self.document.dirty)
         self.mode_bar.show_preset(self.document.title, self.document.path)
 

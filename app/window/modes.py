@@ -41,7 +41,9 @@ class RunPanel(QWidget):
         self._live = QWidget()
         record = hbox(text_button(actions.record), text_button(actions.recordings_folder), STRETCH)
         vbox(heading("Record"), record, recording, 8, within=self._live, margins=0)
+        self._no_live = NoteLabel("To record, open a live source: cameras, or live:sim for the simulator.")
         vbox(
+            self._no_live,
             self._live,
             heading("Publish"),
             publishing,
@@ -57,6 +59,7 @@ class RunPanel(QWidget):
     def show_source(self, info: SourceInfo) -> None:
         """Offer to record what is live; the next step of a recording is to export it."""
         self._live.setVisible(info.length is None)
+        self._no_live.setVisible(info.length is not None)
 
 
 def heading(text: str) -> QLabel:
@@ -144,7 +147,7 @@ def next_step(mode: Mode, info: SourceInfo | None, dirty: bool, recording: bool)
         Mode.RUN: (
             (recording, "Press the object, then finish the recording.", "record"),
             (live, "Record every frame of the cameras.", "record"),
-            (True, "Export all frames, or the part between the marks (I and O).", "export"),
+            (True, "Export patch, recording or animation; I and O mark a part.", "export"),
         ),
     }
     if info is None or mode is Mode.SET_UP:

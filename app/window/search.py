@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 from PyQt6.QtCore import QModelIndex, Qt, QTimer
 from PyQt6.QtGui import QAction, QFocusEvent, QKeyEvent, QStandardItem, QStandardItemModel
-from PyQt6.QtWidgets import QCompleter, QLineEdit
+from PyQt6.QtWidgets import QCompleter, QLineEdit, QToolTip
 
 #: What is found: its name, what is said beside it, and what choosing it does; None where it cannot be done now.
 Entry = tuple[str, str, Callable[[], object] | None]
@@ -32,6 +32,7 @@ class Search(QLineEdit):
         self.setToolTip("Find every action and parameter by name (Ctrl+Shift+P). Enter runs or shows the first")
         self.setClearButtonEnabled(True)
         self.setMinimumWidth(120)
+        self.textEdited.connect(lambda _: QTimer.singleShot(0, self._tell_nothing_found))  # after the completer
 
     def begin(self) -> None:
         self.setFocus(Qt.FocusReason.ShortcutFocusReason)
@@ -63,6 +64,11 @@ class Search(QLineEdit):
             self._leave()
         else:
             super().keyPressEvent(event)
+
+    def _tell_nothing_found(self) -> None:
+        nothing = self.text() and self._completer.completionCount() == 0
+        words = f"No action or parameter is named “{self.text()}”." if nothing else ""
+        QToolTip.showText(self.mapToGlobal(self.rect().bottomLeft()), words, self)
 
     def _choose(self, index: QModelIndex) -> None:
         act = index.data(_DOES)

@@ -3,7 +3,7 @@
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QToolButton
+from PyQt6.QtWidgets import QApplication, QFileDialog, QToolButton
 
 from fakes import FakeSource
 from hands import CONTROL, CONTROL_SHIFT, show_source
@@ -54,6 +54,15 @@ def test_enter_runs_the_entry_that_the_arrows_marked(window, qtbot):
         QTest.keyClick(popup, Qt.Key.Key_Down)
     with qtbot.waitSignal(window.actions_.top_view.triggered):
         QTest.keyClick(popup, Qt.Key.Key_Return)
+
+
+def test_what_can_be_exported_is_found_by_its_kind(window, qtbot):
+    show_source(qtbot, window, FakeSource(length=3))
+    search(qtbot, window, "animation")
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
+    dialog = QApplication.activeModalWidget()
+    assert "(*.gif)" in dialog.selectedNameFilter()
+    dialog.reject()
 
 
 def test_enter_passes_over_what_cannot_be_done_now(qtbot):

@@ -202,21 +202,23 @@ def number_label(widest: str, tip: str) -> TintedLabel:
 
 
 class ElidedLabel(QLabel):
-    """A plain-text label that accepts any width; the tooltip has the whole text if it is elided."""
+    """Plain text in ``lines`` lines that accepts any width; the tooltip has the whole text if it is elided."""
 
-    def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
+    def __init__(self, text: str = "", parent: QWidget | None = None, lines: int = 1) -> None:
         super().__init__(text, parent)
+        self._lines = lines
         self.setTextFormat(Qt.TextFormat.PlainText)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
     def sizeHint(self) -> QSize:
-        return QSize(0, self.fontMetrics().height() + 4)  # also while empty, so that the layout does not jump
+        return QSize(0, self._lines * self.fontMetrics().height() + 4)  # also while empty: nothing jumps
 
     def minimumSizeHint(self) -> QSize:
         return self.sizeHint()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
+        metrics, right = self.fontMetrics(), Qt.TextElideMode.ElideRight
+        shown = "\n".join(metrics.elidedText(line, right, self.width() - 4) for line in self.text().split("\n"))
         tip = "" if shown == self.text() else self.text()
         if tip != self.toolTip():  # each call tells every widget above, also without a change
             self.setToolTip(tip)

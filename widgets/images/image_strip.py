@@ -75,7 +75,7 @@ class ImageStrip(QWidget):
         super().__init__(parent)
         self.panes = {name: ImagePane(title) for name, title in PANES.items()}
         self.regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
-        self.readout = ElidedLabel()
+        self.readout = ElidedLabel(lines=2)
         self._size = (640, 480)
         self._pixel = (-1, -1)
         self._legend_key: tuple[object, ...] = ()
