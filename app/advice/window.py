@@ -125,7 +125,7 @@ class SuggestWindow(QDialog):
         self.sentence.hide()
         self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
         self.again = push_button("&Measure again", "Make new suggestions from the present frame and preset")
-        self.compare = QCheckBox("&Compare")
+        self.compare = QCheckBox("Com&pare")
         self.compare.setToolTip("Compare the present preset with the suggested one in the views")
         self.apply = push_button(
             "&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)", "Ctrl+Return"

@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, Q
 
 from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import keep_place, push_button
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
 from ..context import Context
@@ -73,9 +73,7 @@ class FramesPage(QWidget):
             images.addWidget(pane, number // 2, number % 2)
         self.running = QWidget()
         hbox((self.step.progress, 1), self.step.cancel, within=self.running, margins=0)
-        kept = self.running.sizePolicy()
-        kept.setRetainSizeWhenHidden(True)  # what stands above stays there
-        self.running.setSizePolicy(kept)
+        keep_place(self.running)
         self.running.hide()
         left = vbox((images, 1), self.seek, self.note, self.running)
         self.taken = QWidget()

@@ -14,7 +14,7 @@ from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
 from ...core.rig.untouched import frames_to_average
 from ...core.sources.base import part_of
-from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
+from ...widgets.basics.controls import ProgressBar, keep_place, push_button, wrapped_label
 from ..context import Context
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
@@ -50,9 +50,7 @@ class Gather(QWidget):
         self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
         self.sentence = wrapped_label(selectable=True)
         self.progress = ProgressBar()
-        policy = self.progress.sizePolicy()
-        policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
-        self.progress.setSizePolicy(policy)
+        keep_place(self.progress)
         #: The newest result; None before the first, and while another one is found.
         self.found: Any = None
         self.info: SourceInfo | None = None

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import QFrame
 
 from ...core.errors import counted
 from ...core.output.writer import RecordingStatus
-from ...widgets.basics.controls import ElidedLabel, TintedLabel, number_label
+from ...widgets.basics.controls import ElidedLabel, TintedLabel, keep_place, number_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
@@ -63,9 +63,7 @@ class RecordingBar(QFrame):
             margins=0,
             spacing=4,
         )
-        kept = self.sizePolicy()
-        kept.setRetainSizeWhenHidden(True)  # what stands below stays there
-        self.setSizePolicy(kept)
+        keep_place(self)
         self.hide()
         self._refresh = QTimer(self)
         self._refresh.setInterval(REFRESH_MS)

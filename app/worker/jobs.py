@@ -11,7 +11,7 @@ from PyQt6.QtCore import QObject, QThread, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import TactuneError
-from ...widgets.basics.controls import ProgressBar, push_button
+from ...widgets.basics.controls import ProgressBar, keep_place, push_button
 from ...widgets.basics.layouts import hbox
 from .threads import abandon
 
@@ -130,9 +130,7 @@ class JobRow(QWidget):
         self.bar, self.cancel = ProgressBar(), push_button("Cance&l", "Cancel")
         self.bar.setAccessibleName("Progress")
         hbox((self.bar, 1), self.cancel, within=self, margins=0)
-        policy = self.sizePolicy()
-        policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
-        self.setSizePolicy(policy)
+        keep_place(self)
         for job in jobs:
             job.progress.connect(self._show)
             job.busyChanged.connect(partial(self._end, jobs))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PyQt6.QtCore import QPointF, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox
 
@@ -127,6 +127,21 @@ def test_typing_and_reset(panel, seen):
     panel.set_baseline(None)
     QTest.mouseClick(row.reset, LEFT)
     assert seen.edits[-1][:2] == ("tolerance.t", Preset().tolerance.t)
+
+
+def test_a_changed_value_moves_nothing(qapp, panel):
+    preset = Preset().with_values({"mask.enabled": True})
+    panel.set_preset(preset)
+    panel.set_baseline(preset)
+
+    def places():
+        qapp.processEvents()
+        placed = [*(row.label for row in panel.rows.values()), *(row.widget for row in panel.rows.values())]
+        return [(each.mapTo(panel, QPoint(0, 0)), each.size()) for each in placed if each.isVisible()]
+
+    before = places()
+    panel.set_preset(preset.with_values({"mask.hue": (10, 20), "membrane.gap_m": 0.0002}))
+    assert panel.rows["mask.hue"].reset.isVisible() and places() == before
 
 
 def test_a_refused_value_is_explained_and_taken_back(panel, seen):

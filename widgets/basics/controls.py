@@ -70,6 +70,13 @@ def tool_button(text: str, tip: str, name: str = "", *, icon_name: str = "", che
     return button
 
 
+def keep_place(widget: QWidget, keep: bool = True) -> None:
+    """Let a widget keep its place in its layout while it is hidden, so that nothing moves."""
+    policy = widget.sizePolicy()
+    policy.setRetainSizeWhenHidden(keep)
+    widget.setSizePolicy(policy)
+
+
 def action_button(action: QAction) -> QToolButton:
     """Return a flat button with the icon of an action; only the Tab key takes the focus there."""
     button = QToolButton()

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
 
-from ..basics.controls import FoldButton, NoteLabel, TintedLabel, tool_button
+from ..basics.controls import FoldButton, NoteLabel, TintedLabel, keep_place, tool_button
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
@@ -41,7 +41,6 @@ class ParameterRow(QObject):
         self.reset.setFixedWidth(_RESET_WIDTH)
         self.reset.clicked.connect(self._reset)
         self.reset.hide()
-        self.label.setMinimumHeight(self.reset.sizeHint().height())  # the row keeps its height when it is hidden
         self.message = NoteLabel()
         self.message.hide()
         self._is_placed, self._is_shown = False, True
@@ -110,6 +109,7 @@ class ParameterRow(QObject):
         wanted = self._is_shown and self.widget.isEnabled() and self.differs()
         if not wanted and self.reset.hasFocus():
             self.tab_stops[0].setFocus()
+        keep_place(self.reset, self._is_shown)
         self.reset.setVisible(wanted and self._is_placed)
 
     def _edited(self, value: Any, gesture: int) -> None:

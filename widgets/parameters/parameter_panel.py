@@ -16,7 +16,7 @@ from ...core.model.alignment import CalibrationRecord
 from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ..basics.colormaps import MASKED_RGB
-from ..basics.controls import CollapsibleSection, tool_button, wrapped_label
+from ..basics.controls import CollapsibleSection, keep_place, tool_button, wrapped_label
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
@@ -226,6 +226,7 @@ class ParameterPanel(QScrollArea):
         tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
         reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
         reset.clicked.connect(lambda: self._reset_section(name))
+        keep_place(reset)
         section.add_header_widget(reset)
         return section
 
