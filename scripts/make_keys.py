@@ -5,6 +5,7 @@
 
 from pathlib import Path
 
+from tactune.app.analysis.window import OWN_TABS
 from tactune.app.window.actions import TABLE, Row
 
 MOUSE = (
@@ -30,6 +31,8 @@ def page() -> str:
         for row, keys in rows:
             if keys:
                 lines.append(f"| `{keys}` | {row.text.partition(chr(9))[0].replace('&', '').rstrip('…')} |")
+        if title == "&Analysis":
+            lines += [f"| `{tab.shortcut}` | {tab.title.replace('&', '')} |" for tab in OWN_TABS.values()]
     lines += ["", "## Mouse", "", "| gesture | what |", "| --- | --- |"]
     lines += [f"| {gesture} | {meaning} |" for gesture, meaning in MOUSE]
     return "\n".join(lines) + "\n"

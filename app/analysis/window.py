@@ -45,7 +45,7 @@ def _tune(context: Context) -> AnalysisTab:
 
 
 #: Our own tabs by name; other packages add theirs by entry points.
-_OWN: Final = {
+OWN_TABS: Final = {
     "tilt": TabKind("T&ilt", "Roll and pitch of the contact patch, with standard deviations", _tilt, "Shift+F8"),
     "track": TabKind("Trac&k an object", "Pose of an object of known shape, tracked by its patches", _track, "Ctrl+F8"),
     "tune": TabKind("Tun&e", "Search for preset values with less error and less time", _tune, "Shift+F7"),
@@ -60,7 +60,7 @@ class AnalysisLauncher(QObject):
         self._context, self._play, self._shared = context, play, shared
         self.window: AnalysisWindow | None = None
         added, problems = added_by_others(TABS, TabKind)
-        self._kinds = dict(sorted((added | _OWN).items(), key=lambda item: item[1].title.replace("&", "")))
+        self._kinds = dict(sorted((added | OWN_TABS).items(), key=lambda item: item[1].title.replace("&", "")))
         for name, problem in problems.items():
             sentence = f"An analysis tab is missing: {problem}."
             context.messages.show_message(f"tab {name}", Severity.WARNING, sentence)

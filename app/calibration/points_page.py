@@ -160,6 +160,8 @@ class PointsPage(QWidget):
         elsewhere = sum(not same_pixels(pair, state.choices.image, self._session.rig) for pair in state.pairs)
         if elsewhere:
             return f"{counted(elsewhere, 'pair')} clicked in the other image of the left camera: not drawn here."
+        if wrong := [pair.id for pair in state.pairs if pair.id in self._outcome.rejected]:
+            return f"The others contradict {', '.join(wrong[:9])}: drag their points, or remove these pairs."
         start = "Click" if state.pairs else "Press Find points, or click"
         return (
             f"{start} a dot in one image, then the same dot in the other. Drag or arrow keys correct; Ctrl + click "

@@ -36,7 +36,7 @@ def tabs(monkeypatch):
     }
     added = {"clash": TabKind("&Xclash", "Wants a key that is taken", broken_tab, "F7")}
     problems = {"worn": "the entry point 'worn' of the package worn cannot be loaded"}
-    monkeypatch.setattr(analysis_window, "_OWN", own)
+    monkeypatch.setattr(analysis_window, "OWN_TABS", own)
     monkeypatch.setattr(analysis_window, "added_by_others", lambda group, kind: (added, problems))
 
 

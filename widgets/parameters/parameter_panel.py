@@ -267,6 +267,8 @@ class ParameterPanel(QScrollArea):
     # Reacting
 
     def _row_edited(self, path: str, value: object, gesture: int) -> None:
+        if value is True and self.rows[path].in_header:
+            self.sections[_section_of(path)].set_collapsed(False)
         self._refresh()
         self.valueEdited.emit(path, value, gesture)
 
