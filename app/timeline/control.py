@@ -105,13 +105,7 @@ class Timeline(QObject):
         self._strip.set_words("")
         self._preset_changed(self._context.document.preset)
         self.clear_marks()
-        self._show_strip()
-
-    def _show_strip(self) -> None:
-        info = self._info
-        live = info is not None and info.length is None
-        if live:
-            self._strip.set_words("")
+        if info.length is None:
             self._show_live()
             self._scroll.start()
         else:

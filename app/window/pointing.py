@@ -50,7 +50,8 @@ class Pointing(QObject):
             return
         pixel, place = found
         rig = result.source.rig
-        self._lead(_seen_by_proximity(place, rig) if name is CloudName.TACTILE else _pixel_of(pixel, rig))
+        v, u = divmod(pixel, rig.proximity.intrinsics.width)
+        self._lead(_seen_by_proximity(place, rig) if name is CloudName.TACTILE else (u, v))
         self._mark(self._places(result) | {name: place})
 
     def _lead(self, pixel: Pixel) -> None:
@@ -91,11 +92,6 @@ def _place(cloud: DepthCloud | None, flat: int) -> Place | None:
     if cloud is None or flat >= cloud.depth.size or not cloud.drawn().reshape(-1)[flat]:
         return None
     return as_place(cloud.places(np.array([flat]))[0])
-
-
-def _pixel_of(flat: int, rig: Rig) -> Pixel:
-    v, u = divmod(flat, rig.proximity.intrinsics.width)
-    return u, v
 
 
 def _seen_by_proximity(place: Place, rig: Rig) -> Pixel:

@@ -100,7 +100,7 @@ class ViewArea(QWidget):
         self.point_size.valueChanged.connect(self._resize_points)
         self._lay_out()
         for action in (*self.toggles.values(), actions.show_strip):
-            action.toggled.connect(self._toggled)
+            action.toggled.connect(lambda _: self.enlarge(self.views[CloudName.PATCH]))
         for view in self.views.values():
             view.enlargeRequested.connect(partial(self.enlarge, view))
         for pane in strip.panes.values():
@@ -153,10 +153,6 @@ class ViewArea(QWidget):
             return False
         self.enlarge(self.large)
         return True
-
-    def _toggled(self) -> None:
-        self.large = self.views[CloudName.PATCH]
-        self._arrange()
 
     def _arrange(self) -> None:
         patch = self.views[CloudName.PATCH]

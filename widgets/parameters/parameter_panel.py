@@ -222,7 +222,9 @@ class ParameterPanel(QScrollArea):
         if suggestible:
             evidence = "the newest frames and the untouched frame"
             tip = f"Measure {title.lower()} from {evidence}, and propose values"
-            section.add_header_widget(self._make_suggest(name, "Suggest", tip))
+            suggest = self.suggests[name] = tool_button("Suggest", tip, f"Suggest {name.replace('_', ' ')}")
+            suggest.clicked.connect(lambda: self.suggestRequested.emit(name))
+            section.add_header_widget(suggest)
         tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
         reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
         reset.clicked.connect(lambda: self._reset_section(name))
@@ -240,12 +242,6 @@ class ParameterPanel(QScrollArea):
             histogram = self.histograms[spec.path] = LimitHistogram(_HISTOGRAMS[spec.path], spec.default)
             histogram.limitEdited.connect(lambda limit, gesture: self._histogram_dragged(spec.path, limit, gesture))
             form.add_line(histogram)
-
-    def _make_suggest(self, name: str, text: str, tip: str) -> QToolButton:
-        button = tool_button(text, tip, f"{text} {name.replace('_', ' ')}")
-        button.clicked.connect(lambda: self.suggestRequested.emit(name))
-        self.suggests[name] = button
-        return button
 
     def _order_tabs(self) -> None:
         """Let Tab go through the panel as one reads it."""
