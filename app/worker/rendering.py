@@ -369,7 +369,7 @@ def patch_view(scene: Scene) -> DepthCloud | None:
         index, lut = _over_relief(scene, rows, shown), _relief_lut(scene.theme, pressure_lut)
     else:
         index, lut = _relief(scene), patch_lut(scene.theme)
-        np.putmask(index, shown, CONTACT_ROW)
+        index[shown] = CONTACT_ROW
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 
@@ -413,7 +413,7 @@ def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
     counts = scene.frame.proximity_depth
     if scene.preset.test.moves_points:
         counts = counts.copy()
-        counts.reshape(-1)[np.flatnonzero(patch.mask)] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
+        counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
     return counts
 
 
