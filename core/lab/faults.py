@@ -186,12 +186,7 @@ def _with_fault(source: SimulatorSource, fault: Fault) -> SimulatorSource:
 
 
 def _outcome(
-    name: str,
-    trial: Trial,
-    source: SimulatorSource,
-    preset: Preset,
-    untouched: SensorFrame,
-    number: int,
+    name: str, trial: Trial, source: SimulatorSource, preset: Preset, untouched: SensorFrame, number: int
 ) -> Outcome:
     fault = FAULTS[name]
     rng = np.random.default_rng([trial.seed, number])
@@ -205,14 +200,7 @@ def _outcome(
         pixel_mm = 1e3 * float(np.median(patch.points[:, 2])) / rig.proximity.intrinsics.fx
         error_mm = pixel_mm * boundary_distance_px(patch.mask, truth.contact)
     doubt = patch.doubt
-    return Outcome(
-        name,
-        trial,
-        len(patch.points) > 0,
-        doubt.touch_probability,
-        doubt.boundary_error_mm,
-        error_mm,
-    )
+    return Outcome(name, trial, len(patch.points) > 0, doubt.touch_probability, doubt.boundary_error_mm, error_mm)
 
 
 def _turned(rig: Rig, degrees: float) -> Rig:

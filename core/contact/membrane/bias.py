@@ -48,7 +48,7 @@ _EXACT_M: Final = 3e-5
 _MAX_ROUNDS: Final = 12
 #: The frame's bias replaces the rig's where they differ by more than this many standard deviations.
 _DISAGREE: Final = 3.0
-#: Then contact must be larger than firm contact by this factor.
+#: Then contact must be larger than firm contact by this factor; larger ones are less likely noise.
 _REPLACING: Final = 2.0
 #: Assumed for a rig that was not measured: noise power of a D405 and an L515 at 0.3 m, m^4, and standard deviation of
 #: the bias, metres.
@@ -211,10 +211,10 @@ def _near(differences: Differences, centre_m: float) -> Differences | None:
 def _variance_m2(known: RigBias, area_m2: float) -> float:
     """Return the variance of a bias from contact of an area.
 
-    Its last term is noise that is taken for contact: it hides a gap of its own size, but the gap of a curved membrane
-    that touches nowhere grows in proportion to the area.
+    Its last term is noise that is taken for contact: such noise hides a gap, but hardly one as wide as large contact.
     """
-    return known.noise_m4 / area_m2 + (known.gap_sigma_m * min(FIRM_M2 / area_m2, 1.0)) ** 2
+    hidden_m = known.gap_sigma_m * min(_REPLACING * FIRM_M2 / area_m2, 1.0)
+    return known.noise_m4 / area_m2 + hidden_m**2
 
 
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:

@@ -268,11 +268,6 @@ USUAL_PER_M: Final = 10.0
 LIMITS_PER_M: Final = (3.0, 40.0)
 
 
-def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
-    """Return twice the mean curvature of the free membrane, 1/m: as measured, within limits, or else a usual one."""
-    return usable_curvature_per_m(measured_curvature_per_m(frame, alignment, rig))
-
-
 def usable_curvature_per_m(measured_per_m: float) -> float:
     """Return a measured curvature within limits; the usual one for nan."""
     return USUAL_PER_M if math.isnan(measured_per_m) else float(np.clip(measured_per_m, *LIMITS_PER_M))

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from ...contact.membrane.bias import rig_bias
-from ...contact.membrane.equilibrium import LIMITS_PER_M, free_curvature_per_m
+from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m, usable_curvature_per_m
 from ...contact.membrane.section import LARGEST_BIAS_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
@@ -52,7 +52,7 @@ def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
             "tells whether a membrane is there; check the camera"
         )
     bias = scene_bias(*depth_differences(frame, preset, rig))
-    curvature_per_m = free_curvature_per_m(frame, preset.alignment, rig)
+    curvature_per_m = usable_curvature_per_m(measured_curvature_per_m(frame, preset.alignment, rig))
     test, expected = "tolerance", "Pixels count as contact where both depths agree within t."
     if bias is not None:
         why = f"Both cameras see the same surface {bias.place}, so there is no membrane."

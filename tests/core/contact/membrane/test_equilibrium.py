@@ -10,7 +10,7 @@ from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.membrane.bias import rig_bias
-from tactune.core.contact.membrane.equilibrium import Cells, cells_of, free_curvature_per_m, over_window, settle
+from tactune.core.contact.membrane.equilibrium import Cells, cells_of, measured_curvature_per_m, over_window, settle
 from tactune.core.contact.membrane.steps import differences_at, membrane_image
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels, Workspace
@@ -225,4 +225,4 @@ def test_a_free_sphere_bulges_by_two_over_its_radius(rig, ball_m, centre_m, scal
     depth = depth + np.random.default_rng(0).normal(0, noise_m, depth.shape)
     frame = SensorFrame(0, counts(depth), counts(depth), np.zeros((*depth.shape, 3), np.uint8))
     preset = MEMBRANE.with_values({"alignment.depth_scale": scale, "alignment.depth_offset_m": offset_m})
-    assert free_curvature_per_m(frame, preset.alignment, rig) == pytest.approx(2 / ball_m, rel=0.1)
+    assert measured_curvature_per_m(frame, preset.alignment, rig) == pytest.approx(2 / ball_m, rel=0.1)
