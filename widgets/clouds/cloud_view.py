@@ -68,9 +68,6 @@ class CloudView(QWidget):
         self._companions: list[CloudView] = []
         self._find_focus: Callable[[], Float64Array] | None = None
         self._focus: Float64Array | None = None
-        self._resized = QTimer(self)
-        self._resized.setSingleShot(True)
-        self._resized.timeout.connect(self._frame_after_resize)
         self._drag_from: QPointF | None = None
         self._drag_pans = False
         self._drags_wipe = False
@@ -84,13 +81,13 @@ class CloudView(QWidget):
         self.legend_line = LegendLine()
         self.canvas = CloudCanvas(self)
         self.canvas.setObjectName("canvas")
-        self.canvas.resized.connect(self._start_framing)
+        self.canvas.resized.connect(self._frame_after_resize)
         self._notice, self._badge = Notice(self.canvas), Notice(self.canvas, warns=True)
         self._notice.button.clicked.connect(self.offerPressed)
         parts = self._header, (self.canvas, 1), self.legend_line
         vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
         for widget in (self, self.canvas):
-            widget.setMouseTracking(inspects)
+            widget.setMouseTracking(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
         self.setToolTip(
@@ -127,8 +124,6 @@ class CloudView(QWidget):
         self.canvas.wipe = wipe
         if wipe is None:
             self.canvas.right, self._right_message = None, ""
-        for widget in (self, self.canvas):
-            widget.setMouseTracking(self._inspects or wipe is not None)
         self._show_count()
         self.canvas.update()
 
@@ -292,12 +287,8 @@ class CloudView(QWidget):
     def minimumSizeHint(self) -> QSize:
         return QSize(120, 100)
 
-    def _start_framing(self) -> None:
-        if not self._steered and self.canvas.cloud is not None:
-            self._resized.start()
-
     def _frame_after_resize(self) -> None:
-        if not self._steered:
+        if not self._steered and self.canvas.cloud is not None:
             self.fit()
 
     def event(self, event: QEvent | None) -> bool:
