@@ -73,6 +73,7 @@ class _Commands(TyperGroup):
             name = command.removeprefix("tactune").strip()
             more = f"for example: {EXAMPLES[name]}" if name in EXAMPLES else f"{command} --help says what there is"
             said = error.format_message().rstrip(".").removeprefix("Invalid value: ").replace("\n", " ")
+            said = said.replace("Value error, ", "")
             raise TactuneError(f"{name}{': ' if name else ''}{said[0].lower() + said[1:]}; {more}") from error
 
     def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
@@ -98,7 +99,7 @@ commands = typer.Typer(
 commands.command(short_help="Compute contact patches without a window.")(run)
 commands.command(short_help="Fit the alignment to clicked points and report its quality.")(calibrate)
 commands.command(short_help="Record into a ROS 2 bag (MCAP).")(record)
-commands.command(short_help="Convert a recording to MCAP or to a folder of images.")(convert)
+commands.command(short_help="Convert a recording to MCAP, HDF5 or images; a calibration to URDF.")(convert)
 commands.command(short_help="List the connected cameras.")(devices)
 commands.command(short_help="Check this computer: packages, camera driver, USB, Qt, memory.")(doctor)
 commands.command(short_help="Publish contact patches live for Foxglove and ROS 2.")(serve)
