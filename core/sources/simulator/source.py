@@ -172,7 +172,7 @@ class SimulatorSource(SeekableSource):
 
     def solve_anew(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""
-        progress(0.0, "Inflating the membrane; compiled the first time")
+        progress(0.0, "Inflating the membrane; slow at first")
         press = self._press(scene)
         drawn: list[Future[CleanState]] = []
         facts: list[PressFacts] = []
