@@ -89,7 +89,7 @@ def balance(seconds: float, p_per_s: float = 5.0, d: float = 0.1) -> list[Step]:
             tray.advance(period_s, rate)
             frame = source.draw(number, tray.state)
             started = time.perf_counter()
-            tilt = estimator.estimate(pipeline.process(frame), frame.sequence, frame.proximity_time_s)
+            tilt = estimator.estimate(pipeline.process(frame))
             latency_s = time.perf_counter() - started
             measured = None if tilt.roll_rad is None else tilt.roll_rad + tray.sensor_rad
             change = 0.0 if before is None or measured is None else (measured - before) / period_s

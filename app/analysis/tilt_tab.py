@@ -92,7 +92,7 @@ class TiltTab(LiveTab):
             if result.patch is None:
                 return None
             estimator = TiltEstimator(result.preset, result.source.rig)
-            return estimator.estimate(result.patch, result.frame.sequence, result.frame.proximity_time_s)
+            return estimator.estimate(result.patch)
 
         return estimate
 

@@ -229,7 +229,7 @@ def scan(
     frame: Annotated[int, typer.Option(min=0, metavar="N", help="The first frame, from 0.")] = 0,
     frames: FrameCount = None,
     preset: PresetOption = None,
-    unit: Annotated[MeshUnit, typer.Option(help="Unit of the scan's numbers.")] = MeshUnit.M,
+    unit: Annotated[MeshUnit, typer.Option(help="Unit of the scan's numbers.")] = "m",
     paint: Annotated[
         list[str] | None,
         typer.Option(

@@ -159,8 +159,8 @@ def _convert_recording(
     from ...core.output.hdf5 import export_hdf5
     from ...core.output.writer import export_mcap
     from ...core.sources.folder import export_folder
-    from ...core.sources.mcap.source import McapSource
     from ...core.sources.presets import default_preset, load_preset
+    from ...core.sources.tactune_files import McapSource
     from ...core.tuning.share import share_mcap
 
     if share and preset is None:

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from ...core.tuning.advice.proposal import Finding
 
     SavePatch = Callable[[ContactPatch, SensorFrame], None]
-    Estimator = Callable[[ContactPatch, SensorFrame], Tilt]
+    Estimator = Callable[[ContactPatch], Tilt]
     Look = Callable[[SensorFrame], None]
 
 Record = dict[str, Any]
@@ -135,13 +135,13 @@ def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iter
             yield lambda patch, frame: writer.write(patch, frame.proximity_time_s)
     else:
         from ...core.model.frames import note_number
-        from ...core.output.cloud_files import patch_cloud, write_cloud
+        from ...core.output.cloud_files import patch_columns, write_cloud
 
         seen: set[int] = set()
 
         def save(patch: ContactPatch, frame: SensorFrame) -> None:
             note_number(seen, frame)
-            write_cloud(out / f"patch_{frame.sequence:06d}.npz", patch_cloud(patch, frame, source.rig))
+            write_cloud(out / f"patch_{frame.sequence:06d}.npz", patch_columns(patch, frame, source.rig))
 
         yield save
 
@@ -176,7 +176,7 @@ def _process(
             if lines == "json":
                 if done % EXAMINED_EVERY == 0:
                     found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)
-                estimate = {} if tilt is None else {"tilt": tilt(patch, frame).record()}
+                estimate = {} if tilt is None else {"tilt": tilt(patch).record()}
                 record = _patch_record(patch, frame) | scores | estimate
                 typer.echo(json.dumps(record | {"findings": [finding.sentence for finding in found]}, allow_nan=False))
             else:
@@ -196,8 +196,7 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
         return None
     from ...core.estimation.tilt import TiltEstimator
 
-    estimator = TiltEstimator(preset, rig)
-    return lambda patch, frame: estimator.estimate(patch, frame.sequence, frame.proximity_time_s)
+    return TiltEstimator(preset, rig).estimate
 
 
 def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:

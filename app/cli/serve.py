@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPatch, ContactPipeline
     from ...core.estimation.pose import PoseTracker
     from ...core.estimation.tilt import Tilt
-    from ...core.model.frames import SensorFrame
     from ...core.output.publisher import Publisher
     from ...core.sources import FrameSource
 
@@ -127,7 +126,7 @@ def _publish(
     source: FrameSource,
     pipeline: ContactPipeline,
     publisher: Publisher,
-    tilt: Callable[[ContactPatch, SensorFrame], Tilt] | None,
+    tilt: Callable[[ContactPatch], Tilt] | None,
     poses: _Poses | None,
     frames: int | None,
     stopped: Event,
@@ -139,7 +138,7 @@ def _publish(
     try:
         for frame in live_frames(source, frames, stopped):
             patch = pipeline.process(frame)
-            record = None if tilt is None else Lazy(tilt(patch, frame).record)
+            record = None if tilt is None else Lazy(tilt(patch).record)
             publisher.put(frame, patch, pipeline.preset, record)
             if poses is not None:
                 poses.put(patch, frame.proximity_time_s)

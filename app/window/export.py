@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import ExportError, counted
 from ...core.output.calibration_files import export_calibration
-from ...core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
+from ...core.output.cloud_files import SUFFIXES, patch_columns, write_cloud
 from ...core.output.hdf5 import export_hdf5
 from ...core.output.writer import export_mcap
 from ...core.sources.registry import open_source
@@ -106,7 +106,7 @@ class Export(QObject):
                 raise ExportError(f"{path.name} does not say what to export; choose one of {known}")
             if result.patch is None:
                 raise ExportError("this frame has no patch")
-            write_cloud(path, patch_cloud(result.patch, result.frame, result.source.rig))
+            write_cloud(path, patch_columns(result.patch, result.frame, result.source.rig))
             points = counted(len(result.patch.points), "point")
             return f"Frame {result.frame_number}: {points} written to {path}."
 

@@ -19,6 +19,7 @@ from ..model.alignment import PointPair
 from ..model.arrays import BoolArray, Float64Array
 from ..model.files import atomic_path
 from ..model.loading import read_file
+from ..model.rig_file import validation_sentence
 
 _REQUIRED = ("id", "enabled", "proximity_u", "proximity_v", "tactile_u", "tactile_v", "tactile_depth_m")
 _OPTIONAL = ("proximity_image", "snapshot", "origin")
@@ -53,7 +54,14 @@ def read_points(path: Path | str) -> list[PointPair]:
         The file cannot be read, has another header or an invalid row; the message names line, column and value.
     """
     header, rows = read_table(path, "points", texts=("id", "origin", "proximity_image"))
-    _check_header(header, path)
+    missing = [name for name in _REQUIRED if name not in header]
+    unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise CalibrationError(f"{path}: the header has the column {foreign(twice[0], 40)!r} twice; remove one")
+    if missing or unknown:
+        what = f"lacks the column {missing[0]}" if missing else f"has the column {foreign(unknown[0], 40)!r}"
+        raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
     pairs: dict[str, PointPair] = {}
     for line, row in rows:
         where = f"{path}, line {line}"
@@ -68,17 +76,6 @@ def read_points(path: Path | str) -> list[PointPair]:
     return list(pairs.values())
 
 
-def _check_header(header: list[str], path: Path | str) -> None:
-    missing = [name for name in _REQUIRED if name not in header]
-    unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise CalibrationError(f"{path}: the header has the column {foreign(twice[0], 40)!r} twice; remove one")
-    if missing or unknown:
-        what = f"lacks the column {missing[0]}" if missing else f"has the column {foreign(unknown[0], 40)!r}"
-        raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
-
-
 def _pair(fields: dict[str, str], where: str) -> PointPair:
     fields = {name: value for name, value in fields.items() if value.lower() not in ("", "nan", "none")}
     for name in _REQUIRED[:-1]:  # a tactile depth may be missing
@@ -87,10 +84,7 @@ def _pair(fields: dict[str, str], where: str) -> PointPair:
     try:
         return PointPair.model_validate(fields)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise CalibrationError(
-            f"{where}: {first['loc'][0]} is {foreign(first['input'], 80)!r} ({first['msg']}); correct the row"
-        ) from error
+        raise CalibrationError(validation_sentence(error, where, "a pair")) from error
 
 
 def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:
@@ -196,7 +190,10 @@ def parse_table(data: bytes, texts: Collection[str] = ()) -> tuple[list[str], li
     header = [name.lower() for name in rows[0][1]] if rows else []
     while header and not header[-1]:
         header.pop()
-    body = [(line, _without_blanks(row, len(header))) for line, row in rows[1:]]
+    body = rows[1:]
+    for _, row in body:
+        while len(row) > len(header) and not row[-1]:
+            row.pop()
     numbers = [index for index, name in enumerate(header) if name not in texts]
     if any("." in row[index] for _, row in body for index in numbers if index < len(row)):
         return header, body
@@ -214,9 +211,3 @@ def _decoded(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("cp1252")  # what Excel calls CSV
-
-
-def _without_blanks(row: list[str], width: int) -> list[str]:
-    while len(row) > width and not row[-1]:
-        row.pop()
-    return row

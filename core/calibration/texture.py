@@ -99,8 +99,11 @@ class _View:
         valid = valid_depth(frame.tactile_depth)
         self.depth_m = _filled(frame.tactile_depth.astype(np.float64) * rig.tactile.depth_unit_m, valid)
         self._counts, self._unit = frame.tactile_depth, rig.tactile.depth_unit_m
+        # pixels whose whole patch has depth, small holes ignored
+        closed = cv2.morphologyEx(valid.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+        inner = cv2.erode(closed, np.ones((_PATCH_PX, _PATCH_PX), np.uint8))
         corners = cv2.goodFeaturesToTrack(
-            self.tactile, _MAX_FEATURES, 0.02, _MIN_DISTANCE_PX, mask=_inner(valid), blockSize=_PATCH_PX
+            self.tactile, _MAX_FEATURES, 0.02, _MIN_DISTANCE_PX, mask=inner, blockSize=_PATCH_PX
         )
         self.features = self.with_depth(np.zeros((0, 2)) if corners is None else np.float64(corners).reshape(-1, 2))
 
@@ -205,12 +208,6 @@ def _likeness(first: Uint8Array, second: Uint8Array, here: Float64Array, there: 
 def _textured(image: Uint8Array) -> Uint8Array:
     """Return a grey image with equalised local contrast, so that both exposures are comparable."""
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(to_gray(image)))
-
-
-def _inner(valid: BoolArray) -> Uint8Array:
-    """Return the mask of pixels whose whole patch has depth, small holes ignored."""
-    closed = cv2.morphologyEx(valid.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
-    return np.asarray(cv2.erode(closed, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)))
 
 
 def _filled(depth_m: Float64Array, valid: BoolArray) -> Float64Array:

@@ -18,7 +18,7 @@ object that is not flat.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
@@ -70,9 +70,6 @@ class Tilt:
     about as wide as long. ``centroid_m`` is the mean of the points, metres.
     """
 
-    sequence: int
-    time_s: float
-    points: int
     centroid_m: tuple[float, float, float] | None = None
     roll_rad: float | None = None
     roll_sigma_rad: float | None = None
@@ -114,12 +111,12 @@ class TiltEstimator:
             self._tactile = _DepthNoise.of(preset.noise.tactile, pixels, power=2)
         self._slow = _DepthNoise(0.0, _SLOW_M, _SLOW_LENGTH * self._lens.width, 1.0, 1.0, power=0)
 
-    def estimate(self, patch: ContactPatch, sequence: int = 0, time_s: float = 0.0) -> Tilt:
-        """Return the tilt of a patch; number and time stamp (seconds) of its frame are passed on."""
+    def estimate(self, patch: ContactPatch) -> Tilt:
+        """Return the tilt of a patch."""
         difference, weight = None, 0.0  # points of other tests and methods count as proximity points
-        if isinstance(patch, ContactPatch) and patch.membrane is not None and len(patch.points):
+        if patch.membrane is not None and len(patch.points):
             difference, weight = patch.membrane.difference_m.get(), patch.membrane.tactile_weight
-        return self.of_points(patch.points, difference, weight, patch.averaged_frames, sequence, time_s)
+        return self.of_points(patch.points, difference, weight, patch.averaged_frames)
 
     def of_points(
         self,
@@ -127,20 +124,17 @@ class TiltEstimator:
         difference_m: Float32Array | None = None,
         tactile_weight: float = 0.0,
         averaged_frames: int = 1,
-        sequence: int = 0,
-        time_s: float = 0.0,
     ) -> Tilt:
         """Return the tilt of points (N, 3) in any order, metres in the proximity depth frame.
 
         ``difference_m`` (N,) is proximity less tactile depth at the points, without their constant bias, nan where one
         is missing; ``tactile_weight`` the weight of the tactile depth in the depth of the points, 0 to 1.
         """
-        found = Tilt(sequence, time_s, len(points))
         if len(points) < _MIN_POINTS:
-            return found
+            return Tilt()
         cells = _Cells.of(points, difference_m, self._lens)
         if len(cells.count) < 3:
-            return found
+            return Tilt()
         depth_m = 1 / cells.inverse_m
         power = (1 - tactile_weight) ** 2 * self._proximity.power_m2(depth_m)
         power += tactile_weight**2 * self._tactile.power_m2(depth_m)
@@ -171,8 +165,7 @@ class TiltEstimator:
         )
         axis = _long_axis(cells, self._lens)
         x, y, z = points.mean(axis=0, dtype=np.float64)
-        return replace(
-            found,
+        return Tilt(
             centroid_m=(float(x), float(y), float(z)),
             roll_rad=roll[0],
             roll_sigma_rad=roll[1],

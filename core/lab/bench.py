@@ -30,7 +30,7 @@ from ..contact.outliers.statistical import statistical_inliers
 from ..contact.pipeline import ContactPipeline
 from ..errors import MissingExtraError, TactuneError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Uint16Array
-from ..model.clouds import nearest_pixels, truth_cloud
+from ..model.clouds import nearest_pixels, truth_points
 from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.metrics import pixel_scores, symmetric_rmse_m
@@ -90,19 +90,17 @@ def _simulated(scene: str, depth_m: float) -> BenchScene:
     return BenchScene(source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
 
 
-def synthetic_scene(
-    points: int, width: int = 640, height: int = 480, noise_m: float = 0.001, seed: int = 0
-) -> BenchScene:
+def synthetic_scene(points: int, noise_m: float = 0.001) -> BenchScene:
     """Return a paraboloid with about ``points`` px of contact, 25 mm in front of what else is seen."""
-    rig = _scaled_rig(width, height)
-    random = np.random.default_rng(seed)
+    from ..sources.simulator.scene import simulator_rig
+
+    rig = simulator_rig().model_copy(update={"proximity_color": None})
+    random = np.random.default_rng(0)
     camera = rig.proximity.intrinsics
-    origin = np.eye(4)
-    membrane = _depth_of_paraboloid(camera, origin)
-    v, u = np.mgrid[:height, :width]
-    radius_px = np.sqrt(points / np.pi)
-    contact = np.hypot(u - camera.cx, v - camera.cy) <= radius_px
-    if points >= width * height:
+    membrane = _depth_of_paraboloid(camera, np.eye(4))
+    v, u = np.indices(camera.shape)
+    contact = np.hypot(u - camera.cx, v - camera.cy) <= np.sqrt(points / np.pi)
+    if points >= contact.size:
         contact[:] = True
     seen = np.where(contact, membrane, membrane + 0.025) + random.normal(0, noise_m, membrane.shape)
     tactile = _depth_of_paraboloid(rig.tactile.intrinsics, np.asarray(rig.T_proximity_tactile))
@@ -115,44 +113,9 @@ def synthetic_scene(
         proximity_color=color,
         truth=GroundTruth(contact=contact, depth_m=membrane.astype(np.float32)),
     )
-    preset = load_preset("simulator").with_values(
-        {
-            **_TEST,
-            "rig": None,
-            "tolerance.t": 0.03,
-            "mask.enabled": True,
-            "mask.hue": (100, 125),
-            "mask.saturation": (120, 255),
-        }
-    )
+    values = {"rig": None, "tolerance.t": 0.03, "mask.enabled": True, "mask.hue": (100, 125)}
+    preset = load_preset("simulator").with_values({**_TEST, **values, "mask.saturation": (120, 255)})
     return BenchScene(rig, preset, frame)
-
-
-def _scaled_rig(width: int, height: int) -> Rig:
-    from ..sources.simulator.scene import simulator_rig
-
-    rig = simulator_rig()
-
-    def scaled(camera: DepthCamera) -> DepthCamera:
-        return camera.model_copy(update={"intrinsics": _scaled(camera.intrinsics, width, height)})
-
-    return Rig(
-        proximity=scaled(rig.proximity),
-        tactile=scaled(rig.tactile),
-        proximity_color=None,
-        T_proximity_tactile=rig.T_proximity_tactile,
-    )
-
-
-def _scaled(camera: Intrinsics, width: int, height: int) -> Intrinsics:
-    """Return the same field of view in another image size."""
-    across, down = width / camera.width, height / camera.height
-    return camera.model_copy(
-        update={
-            "width": width, "height": height, "fx": camera.fx * across, "fy": camera.fy * down,
-            "cx": (camera.cx + 0.5) * across - 0.5, "cy": (camera.cy + 0.5) * down - 0.5,
-        }
-    )  # fmt: skip
 
 
 def _depth_of_paraboloid(camera: Intrinsics, T_p_camera: Float64Array) -> Float64Array:
@@ -329,7 +292,7 @@ def compare_engines(
             mask, truth, iou, rmse_mm = _mask(scene, pixels()), scene.frame.truth, math.nan, math.nan
             if truth is not None:
                 iou = pixel_scores(mask, truth.contact).iou
-                rmse_mm = 1e3 * symmetric_rmse_m(points, truth_cloud(truth, scene.rig).points)
+                rmse_mm = 1e3 * symmetric_rmse_m(points, truth_points(truth, scene.rig))
             ratio = timings["numpy"].median_ms / timings[name].median_ms
             differing = int(np.count_nonzero(mask != expected))
             rows.append(Row(title, name, timings[name], ratio, len(points), differing, iou, rmse_mm))
@@ -455,7 +418,10 @@ def _bandwidth(rounds: int) -> list[Check]:
     for name in _WHOLE:
         scene = _without_outliers(make_scene(name))
         timing = time_in_turns({"mine": tactune_engine(scene)}, rounds)["mine"]
-        must_bytes = least_bytes(scene, len(_candidates(scene)[0]))
+        frame, contacts = scene.frame, len(_candidates(scene)[0])
+        # each input and each result once, without tables
+        must_bytes = frame.proximity_depth.nbytes + frame.tactile_depth.nbytes + frame.proximity_depth.size
+        must_bytes += contacts * (12 + 3 * scene.preset.mask.enabled)
         limit_ms = 1e3 * must_bytes / bandwidth
         words = (
             f"without outlier removal on {name}, time over the limit ({must_bytes / 1e6:.2f} MB at "
@@ -465,17 +431,10 @@ def _bandwidth(rounds: int) -> list[Check]:
     return checks
 
 
-def least_bytes(scene: BenchScene, contacts: int) -> int:
-    """Return the least memory traffic of the per-pixel chain: each input and each result once, without tables."""
-    frame = scene.frame
-    must = frame.proximity_depth.nbytes + frame.tactile_depth.nbytes + frame.proximity_depth.size
-    return must + contacts * (12 + 3 * scene.preset.mask.enabled)
-
-
-def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:
+def bandwidth_bytes_per_s() -> float:
     """Measure memory bandwidth by copying arrays far larger than any cache; counts bytes read plus bytes written."""
     workers = os.cpu_count() or 1
-    parts = [np.ones(size_bytes // workers // 8) for _ in range(workers)]
+    parts = [np.ones((256 << 20) // workers // 8) for _ in range(workers)]
     targets = [np.zeros_like(part) for part in parts]
     best_s = np.inf
     with ThreadPoolExecutor(workers) as pool:

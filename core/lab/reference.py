@@ -8,7 +8,6 @@ rounding error.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -22,22 +21,6 @@ from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.patch import Provenance
 from ..preset import MaskSection, Preset
-
-
-@dataclass(frozen=True, eq=False)
-class ReferencePatch:
-    """Points (N, 3) in metres, their flat pixels (N,), and the verdict on each pixel (H, W)."""
-
-    points: AnyArray
-    pixels: IndexArray
-    provenance: Uint8Array
-
-
-def reference_patch(preset: Preset, rig: Rig, frame: SensorFrame, dtype: Any = np.float32) -> ReferencePatch:
-    """Compute a frame's contact patch with the given floating-point type."""
-    provenance = np.empty(frame.proximity_depth.shape, np.uint8)
-    points, pixels = Reference(preset, rig, dtype).find(frame, provenance.reshape(-1))
-    return ReferencePatch(points, pixels, provenance)
 
 
 def inliers(points: AnyArray, k: int, ratio: float) -> BoolArray:
@@ -105,16 +88,14 @@ class Reference:
         """Return points (N, 3) in metres and flat pixels (N,) of the patch; fill in each pixel's verdict."""
         preset, dtype = self.preset, self.dtype
 
-        def pass_on(pixels: IndexArray, next_verdict: Provenance) -> None:
+        def pass_on(pixels: Any, next_verdict: Provenance) -> None:
             if verdicts is not None:
                 verdicts[pixels] = next_verdict
 
         counts = frame.proximity_depth.reshape(-1)
-        if verdicts is not None:
-            verdicts[:] = Provenance.NO_PROXIMITY_DEPTH
+        pass_on(slice(None), Provenance.NO_PROXIMITY_DEPTH)
         valid = (counts != 0) & (counts != 65535)
-        if verdicts is not None:
-            verdicts[valid] = Provenance.OUTSIDE_REGION
+        pass_on(valid, Provenance.OUTSIDE_REGION)
         pixels = np.flatnonzero(valid & self._in_region.reshape(-1))
         depth = counts[pixels].astype(dtype) * dtype(self.rig.proximity.depth_unit_m)
         if preset.range.enabled:
@@ -125,8 +106,7 @@ class Reference:
         pass_on(pixels, Provenance.NO_TACTILE_DEPTH)
         expected, u, v, visible = self.seen_by_tactile(depth, pixels)
         measured = self._measured(frame.tactile_depth, u, v, visible)
-        if verdicts is not None:
-            verdicts[pixels[~np.isnan(measured)]] = Provenance.OUTSIDE_TOLERANCE
+        pass_on(pixels[~np.isnan(measured)], Provenance.OUTSIDE_TOLERANCE)
         with np.errstate(all="ignore"):
             touching = np.abs(expected - measured) <= dtype(preset.tolerance.t) * np.abs(expected)
         pixels, z = pixels[touching], depth[touching]

@@ -190,7 +190,12 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
         if len(pixels) < _MIN_DOTS:
             continue
         points_m = _lift(pixels, depth_m, camera)
-        lattice = order_dots(pixels, lambda a, b, points_m=points_m: _same_surface(points_m[a], points_m[b]))  # type: ignore[misc]
+
+        def on_one_surface(a: int, b: int, points_m: Float64Array = points_m) -> bool:
+            x, y, z = points_m[a] - points_m[b]
+            return bool(abs(z) < _STEEPEST * math.hypot(x, y))
+
+        lattice = order_dots(pixels, on_one_surface)
         placed = lattice.piece >= 0
         if np.count_nonzero(placed) > most:
             most = int(np.count_nonzero(placed))
@@ -216,10 +221,6 @@ def _dark_spots(gray: AnyArray, width_px: int) -> Float64Array:
     dots &= sides.max(axis=1) <= _LONGEST_SHAPE * sides.min(axis=1)
     dots[0] = False
     return np.column_stack([sum_u[dots] / total[dots], sum_v[dots] / total[dots]])
-
-
-def _same_surface(a: Float64Array, b: Float64Array) -> bool:
-    return bool(abs(a[2] - b[2]) < _STEEPEST * math.hypot(a[0] - b[0], a[1] - b[1]))
 
 
 def _axis_strain(lattice: DotLattice, axis: int, points_m: Float64Array, spacing_m: float) -> AxisStrain:

@@ -390,12 +390,8 @@ def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) 
         f"inflation. empty: presses without a patch although {MIN_TOUCHED_MM2:g} mm2 or more\n"
         "touch. ms: per frame, on all cores, first object and membrane."
     )
-    return "\n".join([aligned(lines), note, *_failures(cells)])
-
-
-def _failures(cells: Sequence[Cell]) -> list[str]:
-    """Return the failures of each method other than empty patches, equal ones once."""
-    return list(dict.fromkeys(f"{c.method}: {c.failure}" for c in cells if c.failure not in ("", NO_CONTACT_FOUND)))
+    failures = dict.fromkeys(f"{c.method}: {c.failure}" for c in cells if c.failure not in ("", NO_CONTACT_FOUND))
+    return "\n".join([aligned(lines), note, *failures])
 
 
 def _names(cells: Sequence[Cell], *fields: str) -> Collection[Any]:

@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from ..errors import SourceError
-from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
+from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
 from .frames import NO_DEPTH_COUNTS, DepthCamera, GroundTruth, Rig
 from .intrinsics import Intrinsics
 
 #: Largest share of an image's pixels that may see nothing.
 _MAX_FOLDED = 0.9
-
-
-@dataclass(frozen=True, eq=False)
-class PointCloud:
-    """Points (N, 3), metres, with optional RGB colours (N, 3) and per-point attributes (N,)."""
-
-    points: Float32Array
-    colors: Uint8Array | None = None
-    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.points)
 
 
 @lru_cache(maxsize=8)
@@ -88,11 +74,11 @@ def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Arra
     return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)
 
 
-def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
-    """Deproject the true depth at every contact pixel that has one; empty if the truth has no depth."""
+def truth_points(truth: GroundTruth, rig: Rig) -> Float32Array:
+    """Return the points (N, 3), metres, of the true depth at every contact pixel that has one."""
     if truth.depth_m is None:
-        return PointCloud(np.empty((0, 3), np.float32))
+        return np.empty((0, 3), np.float32)
     pixels = truth.contact & np.isfinite(truth.depth_m)
     depth = truth.depth_m[pixels][:, None]
     rays = ray_table(rig.proximity.intrinsics)[pixels]
-    return PointCloud(np.concatenate([rays * depth, depth], axis=1).astype(np.float32))
+    return np.concatenate([rays * depth, depth], axis=1).astype(np.float32)

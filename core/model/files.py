@@ -12,10 +12,9 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from ..errors import ExportError
 
@@ -160,12 +159,6 @@ def code_version() -> str:
     return digest.hexdigest()
 
 
-class MeshUnit(StrEnum):
-    M = "m"
-    CM = "cm"
-    MM = "mm"
-    INCH = "in"
-
-
+MeshUnit = Literal["m", "cm", "mm", "in"]
 #: Metres of each unit.
 UNITS_M: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

@@ -36,9 +36,8 @@ _parsing = threading.Lock()
 
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading; `OSError` for a pipe, a device or a socket, reading which might never end."""
-    without_waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for its writer
-    file = open(  # noqa: SIM115  # whoever calls closes it
-        path, "rb", opener=lambda name, flags: os.open(name, flags | without_waiting)
+    file = open(  # noqa: SIM115  # whoever calls closes it; without O_NONBLOCK opening a pipe waits for its writer
+        path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)
     )
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
@@ -152,17 +151,13 @@ def _pillow_pixels(data: bytes) -> AnyArray:
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
 
 
-def frame_arrays(frame: SensorFrame) -> dict[str, Any]:
-    """Return what an ``.npz`` of a frame holds, by name; `frame_from_bytes` reads it and ignores other names."""
+def untouched_bytes(frame: SensorFrame) -> bytes:
+    """Return a frame as an ``.npz``; `frame_from_bytes` reads it and ignores other names."""
     arrays = {name: getattr(frame, name) for name in _ARRAYS} | frame.numbers()
     if frame.truth is not None:
         arrays |= {"truth_contact": frame.truth.contact, "truth_depth_m": frame.truth.depth_m}
-    return {name: it for name, it in arrays.items() if it is not None}
-
-
-def untouched_bytes(frame: SensorFrame) -> bytes:
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **frame_arrays(frame))
+    np.savez_compressed(buffer, allow_pickle=False, **{name: it for name, it in arrays.items() if it is not None})
     return buffer.getvalue()
 
 

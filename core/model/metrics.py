@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ..errors import TactuneError
 from .arrays import BoolArray, Float32Array, Float64Array
-from .clouds import pixel_areas_m2, truth_cloud
+from .clouds import pixel_areas_m2, truth_points
 from .frames import GroundTruth, Rig, SensorFrame
 from .patch import ContactPatch
 
@@ -68,14 +68,14 @@ def true_contact(frame: SensorFrame, rig: Rig) -> tuple[Float32Array, float]:
     """Return the points of the true contact (metres, proximity depth frame) and its area in mm^2."""
     if frame.truth is None:
         raise TactuneError("the scene has no ground truth, so no method can be scored on it; choose a simulated one")
-    points = truth_cloud(frame.truth, rig).points
+    points = truth_points(frame.truth, rig)
     return points, 1e6 * float(pixel_areas_m2(points[:, 2], rig.proximity.intrinsics).sum())
 
 
 def compare_with_truth(patch: ContactPatch, truth: GroundTruth, rig: Rig) -> dict[str, float]:
     """Return the `PixelScores` of a patch by name, and `symmetric_rmse_m` of both clouds as ``rmse_mm``."""
     scores = asdict(pixel_scores(patch.mask, truth.contact))
-    return {**scores, "rmse_mm": 1e3 * symmetric_rmse_m(patch.points, truth_cloud(truth, rig).points)}
+    return {**scores, "rmse_mm": 1e3 * symmetric_rmse_m(patch.points, truth_points(truth, rig))}
 
 
 def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:

@@ -18,7 +18,7 @@ from ..model.files import atomic_path
 from ..model.frames import Rig
 from ..model.intrinsics import Distortion, Intrinsics
 from ..preset import Preset
-from ..sources.mcap.messages import PROXIMITY_COLOR_FRAME, PROXIMITY_FRAME, TACTILE_FRAME
+from ..sources.ros.messages import PROXIMITY_COLOR_FRAME, PROXIMITY_FRAME, TACTILE_FRAME
 
 
 @dataclass(frozen=True, eq=False)

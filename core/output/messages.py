@@ -18,7 +18,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from ..sources.mcap.messages import (
+from ..sources.ros.messages import (
     CAMERA_INFO,
     IMAGE,
     OBJECT_FRAME,
@@ -175,18 +175,16 @@ def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
     )
 
 
-def pose_with_covariance(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> bytes:
-    """Return a pose, (4, 4), in the proximity depth frame; covariance, (6, 6): x, y, z in m, rotations about them."""
+def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> dict[str, bytes]:
+    """Return the messages of a tracked object by topic.
+
+    Its pose, (4, 4), is in the proximity depth frame, its covariance, (6, 6): x, y, z in m, rotations about them.
+    """
     point = _type("geometry_msgs/msg/Point")(*pose[:3, 3].tolist())
     body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
     known = _type("geometry_msgs/msg/PoseWithCovariance")(body, np.asarray(covariance, np.float64).ravel())
-    return _serialise(_type(POSE)(_header(PROXIMITY_FRAME, stamp_ns), known), POSE)
-
-
-def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> dict[str, bytes]:
-    """Return the messages of a tracked object's pose, as `pose_with_covariance` takes it, by topic."""
     return {
-        Topic.OBJECT_POSE: pose_with_covariance(pose, covariance, stamp_ns),
+        Topic.OBJECT_POSE: _serialise(_type(POSE)(_header(PROXIMITY_FRAME, stamp_ns), known), POSE),
         Topic.TRANSFORMS: transforms({OBJECT_FRAME: pose}, stamp_ns),
     }
 

@@ -26,7 +26,7 @@ from ..model.frames import DepthCamera, SensorFrame
 from ..model.patch import Lazy
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
-from ..sources.mcap.messages import (
+from ..sources.ros.messages import (
     CAMERA_INFO,
     IMAGE,
     POINT_CLOUD,
@@ -157,11 +157,6 @@ class Messages:
             return self._built[topic]
 
 
-def pose_messages(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> Messages:
-    parts = messages.pose_parts(pose, covariance, stamp_ns)
-    return Messages({topic: partial(parts.get, topic) for topic in parts}, stamp_ns)
-
-
 def frame_messages(
     frame: SensorFrame,
     patch: ContactPatch,
@@ -289,7 +284,8 @@ class Publisher:
         """
         stamp_ns = self._stamps_ns.get(time_s)
         if stamp_ns is not None:
-            built = pose_messages(pose, covariance, stamp_ns)
+            parts = messages.pose_parts(pose, covariance, stamp_ns)
+            built = Messages({topic: partial(parts.get, topic) for topic in parts}, stamp_ns)
             for output in self._outputs:
                 output.put("pose", built)
 

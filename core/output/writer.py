@@ -27,7 +27,7 @@ from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..preset.file import preset_json
 from ..sources.base import FrameSource, Progress, frames_to_write
-from ..sources.mcap.messages import (
+from ..sources.ros.messages import (
     CAMERA_INFO,
     FORMAT_VERSION,
     IMAGE,
@@ -66,7 +66,7 @@ Message = tuple[str, int, tuple[Buffer, ...]]
 _CHUNK_BYTES: Final = 2**40
 
 
-class Bag:
+class BagWriter:
     """A new ROS 2 bag in MCAP with the rig and the preset inside. One call of `write` is one chunk."""
 
     def __init__(
@@ -193,7 +193,7 @@ class PatchWriter:
     ) -> None:
         self._clock = LogClock(1.0 / frame_rate_hz)
         topics = topics_of(preset) | (POSE_TOPICS if poses else {})
-        self._bag = Bag(path, topics, rig, preset, frame_rate_hz)
+        self._bag = BagWriter(path, topics, rig, preset, frame_rate_hz)
 
     def write(self, patch: ContactPatch, time_s: float, pose: tuple[Float64Array, Float64Array] | None = None) -> None:
         """Write one patch, and the pose of the object: (4, 4) and its covariance, (6, 6)."""
@@ -240,7 +240,7 @@ class RecordingStatus:
 
 
 class SessionWriter:
-    """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.sources.mcap.messages` describes it.
+    """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.sources.ros.messages` describes it.
 
     A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, written at
     once, so a killed process loses the frames in the queue only. Where the disk is full, the file keeps the frames that
@@ -283,7 +283,7 @@ class SessionWriter:
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
         attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
-        self._bag = Bag(path, self._topics(), rig, preset, frame_rate_hz, attachments)
+        self._bag = BagWriter(path, self._topics(), rig, preset, frame_rate_hz, attachments)
         self._queue: deque[tuple[Callable[[], None], int]] = deque()
         self._waiting_bytes = 0
         self._changed = threading.Condition()

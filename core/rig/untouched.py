@@ -190,7 +190,7 @@ def tile_medians(counts: Uint16Array) -> Float64Array:
 
 
 def _recorded(path: Path) -> SensorFrame | None:
-    from ..sources.mcap.source import McapSource
+    from ..sources.tactune_files import McapSource
 
     try:
         with McapSource(path) as recording:

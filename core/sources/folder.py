@@ -39,7 +39,7 @@ from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validation_sentence
-from .base import FrameSource, Health, Progress, SeekableSource, SourceKind, frames_to_write
+from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write
 from .folder_layout import FrameFiles, find_frames, own_images
 from .lens import Lens, make_lens
 
@@ -274,22 +274,16 @@ def export_folder(
         remove_leftovers(target.parent, f"{target.name}.partial")
         temporary.mkdir(parents=True)
         count = _write_recording(source, temporary, frames_to_write(source, frames, progress))
-        _give_name(temporary, target)
+        try:
+            temporary.rename(target)  # takes the place of an empty folder in one step
+        except OSError:
+            _check_free(target)
+            raise
     except OSError as error:
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return count
-
-
-def _give_name(temporary: Path, target: Path) -> None:
-    try:
-        if os.name == "nt" and target.exists():  # elsewhere a folder takes the place of an empty one in one step
-            target.rmdir()
-        temporary.rename(target)
-    except OSError:
-        _check_free(target)
-        raise
 
 
 def _check_free(target: Path) -> None:
@@ -374,13 +368,3 @@ def _write_file(path: Path, data: bytes | str) -> None:
     path.write_bytes(data.encode() if isinstance(data, str) else data)
     with path.open("rb+") as file:
         os.fsync(file.fileno())
-
-
-KIND = SourceKind(
-    scheme="folder",
-    title="Folder of images",
-    form="folder:PATH",
-    needs="folder",
-    pattern="rig.json",
-    open=lambda rest, progress, cameras: FolderSource(rest),
-)

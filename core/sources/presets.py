@@ -49,7 +49,7 @@ def load_preset_and_note(path_or_name: Path | str) -> tuple[Preset, str]:
     path = Path(path_or_name)
     if path.suffix != ".mcap" or not path.is_file():
         return preset_and_note(*preset_text(path_or_name))
-    from .mcap.source import McapSource  # not above: most presets are no recordings
+    from .tactune_files import McapSource  # not above: most presets are no recordings
 
     with McapSource(path) as recording:
         found = recording.preset_text()

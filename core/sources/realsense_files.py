@@ -25,9 +25,9 @@ from ..model.intrinsics import Distortion, Intrinsics
 from .base import Progress, part_of
 from .cameras.camera import Calibration
 from .cameras.pairing import nearest
-from .mcap.messages import IMAGE, TEXT, TYPES, Bag, matrix_of
 from .recorded import RecordedCamera, RecordedSource
 from .ros.bags import Ros1Bag, open_bag
+from .ros.messages import IMAGE, TEXT, TYPES, Bag, matrix_of
 from .ros_image import DamagedFileError, RawImage, damage_told
 
 _STREAM = re.compile(r"(/device_(\d{1,4})/sensor_\d{1,4}/(Depth|Color)_\d{1,4})/image/data(/compressed(?:Depth)?)?")

@@ -5,9 +5,9 @@ A kind of source is one `SourceKind`. Other packages add theirs by an entry poin
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from ..errors import SourceError, foreign
 from ..model.files import path_exists, recording_files, user_path
@@ -20,6 +20,25 @@ if TYPE_CHECKING:
     from .ros.source import Inspection
 
 GROUP = "tactune.sources"
+
+
+def _open_simulator(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .simulator.scenes import read_name  # not above: it compiles kernels' modules
+    from .simulator.source import SimulatorSource
+
+    return SimulatorSource(progress=progress, **read_name(rest))
+
+
+def _open_folder(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .folder import FolderSource
+
+    return FolderSource(rest)
+
+
+def _open_cameras(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
+    from .cameras.source import open_in_process
+
+    return open_in_process(rest, progress, cameras)
 
 
 def _open_live(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
@@ -51,15 +70,15 @@ def _open_recording(scheme: str, rest: str, progress: Progress | None, _: Camera
         from .realsense_files import BagSource
 
         return BagSource(rest, progress)
-    from .mcap.source import McapSource
+    from .tactune_files import McapSource
 
     return McapSource(rest, progress)
 
 
 def _is_of_others(scheme: str, rest: str) -> bool:
     """Whether a recording is a ROS program's, neither librealsense's nor Tactune's own."""
-    from .mcap.source import is_ours
     from .realsense_files import is_realsense
+    from .tactune_files import is_ours
 
     return scheme == "rosbag" or not (is_realsense(rest) if scheme == "bag" else is_ours(rest))
 
@@ -70,59 +89,55 @@ def _open_ros2(rest: str, progress: Progress | None, cameras: CamerasSection | N
     return open_in_process(rest, progress, cameras)
 
 
-_BAG = SourceKind(
-    scheme="bag",
-    title="RealSense or ROS recording",
-    form="bag:PATH[,PATH]",
-    needs="file",
-    pattern="*.bag *.db3",
-    files=2,
-    open=partial(_open_recording, "bag"),
-)
-_ROS_FOLDER = SourceKind(
-    scheme="rosbag",
-    title="Folder of ros2 bag record",
-    form="rosbag:PATH",
-    needs="folder",
-    pattern="metadata.yaml *_0.mcap *_0.db3 *_0.mcap.zstd *_0.db3.zstd",
-    open=partial(_open_recording, "rosbag"),
-)
-_MCAP = SourceKind(
-    scheme="mcap",
-    title="Tactune or ROS recording",
-    form="mcap:PATH[,PATH]",
-    needs="file",
-    pattern="*.mcap",
-    files=2,
-    open=partial(_open_recording, "mcap"),
-)
-_ROS2 = SourceKind(
-    scheme="ros2",
-    title="Live ROS 2 topics",
-    form="ros2:[?domain=N]",
-    open=_open_ros2,
-)
-_LIVE = SourceKind(
-    scheme="live",
-    title="Any source, played live",
-    form="live:SOURCE",
-    open=_open_live,
-)
-
-
-@cache
-def _own_kinds() -> dict[str, SourceKind]:
-    from . import cameras, folder, simulator
-
-    kinds = (simulator.KIND, folder.KIND, _BAG, _MCAP, _ROS_FOLDER, cameras.KIND, cameras.REALSENSE, _ROS2, _LIVE)
-    return {kind.scheme: kind for kind in kinds}
+_ROS_FOLDER: Final = "metadata.yaml *_0.mcap *_0.db3 *_0.mcap.zstd *_0.db3.zstd"
+_OWN: Final = {
+    kind.scheme: kind
+    for kind in (
+        SourceKind(
+            "sim",
+            "Simulator",
+            "sim:SCENE[?press=medium&membrane=NAME&sensor=NAME&seed=N&noise=X]",
+            _open_simulator,
+        ),
+        SourceKind("folder", "Folder of images", "folder:PATH", _open_folder, "folder", "rig.json"),
+        SourceKind(
+            "bag",
+            "RealSense or ROS recording",
+            "bag:PATH[,PATH]",
+            partial(_open_recording, "bag"),
+            "file",
+            "*.bag *.db3",
+            files=2,
+        ),
+        SourceKind(
+            "mcap",
+            "Tactune or ROS recording",
+            "mcap:PATH[,PATH]",
+            partial(_open_recording, "mcap"),
+            "file",
+            "*.mcap",
+            files=2,
+        ),
+        SourceKind(
+            "rosbag",
+            "Folder of ros2 bag record",
+            "rosbag:PATH",
+            partial(_open_recording, "rosbag"),
+            "folder",
+            _ROS_FOLDER,
+        ),
+        SourceKind("cameras", "Cameras", "cameras:[PROXIMITY,TACTILE]", _open_cameras),
+        SourceKind("realsense", "Cameras", "realsense:[PROXIMITY,TACTILE]", _open_cameras),  # in older files
+        SourceKind("ros2", "Live ROS 2 topics", "ros2:[?domain=N]", _open_ros2),
+        SourceKind("live", "Any source, played live", "live:SOURCE", _open_live),
+    )
+}
 
 
 def source_kinds() -> tuple[SourceKind, ...]:
     """Return every kind of source that can be loaded: our own, then those of other packages."""
-    own = _own_kinds()
-    added = [kind for kind in added_by_others(GROUP, SourceKind)[0].values() if kind.scheme not in own]
-    return (*own.values(), *added)
+    added = [kind for kind in added_by_others(GROUP, SourceKind)[0].values() if kind.scheme not in _OWN]
+    return (*_OWN.values(), *added)
 
 
 def open_source(name: str, progress: Progress | None = None, cameras: CamerasSection | None = None) -> FrameSource:
@@ -143,11 +158,8 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
     SourceError
         Nothing has that name, or it cannot be read; the message says what to do.
     """
-    scheme, _, rest = name.partition(":")
     try:
-        kind = _kind(scheme)
-        if kind is None:
-            kind, rest = _guess(name)
+        kind, rest = _resolved(name)
         if kind.needs != "nothing" and not rest:
             raise SourceError(f"{kind.scheme}: needs a path, as in {kind.form}")
         if kind.needs != "nothing" and (missing := missing_path(name)) is not None:  # before anything is imported
@@ -161,29 +173,20 @@ def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection 
     """Return what there is to choose before another program's recording is opened; None if nothing."""
     from .ros.source import inspect_recording
 
-    scheme, _, rest = name.partition(":")
-    if _kind(scheme) is None:
-        kind, rest = _guess(name)
-        scheme = kind.scheme
-    if (
-        split_topics(rest)[1]
-        or not (path_exists(rest) or recording_files(rest))
-        or scheme not in ("bag", "mcap", "rosbag")
-    ):
+    kind, rest = _resolved(name)
+    is_here = path_exists(rest) or bool(recording_files(rest))
+    if not is_here or split_topics(rest)[1] or kind.scheme not in ("bag", "mcap", "rosbag"):
         return None
-    if not _is_of_others(scheme, rest):
-        return None
-    return inspect_recording(rest, progress)
+    return inspect_recording(rest, progress) if _is_of_others(kind.scheme, rest) else None
 
 
 def images_without_rig(name: str) -> tuple[Path, tuple[str, ...]] | None:
     """Return the folder that a name means and the slots of its images, if it has no ``rig.json``; else None."""
-    scheme, _, rest = name.partition(":")
-    path = user_path(rest if scheme == "folder" else name)
-    if (_kind(scheme) is not None and scheme != "folder") or not path.is_dir():
+    named, rest = _named(name)
+    path = user_path(rest)
+    if named not in (None, _OWN["folder"]) or not path.is_dir():
         return None
-    kinds = (kind for kind in source_kinds() if kind.needs == "folder")
-    if any(kind.claim(str(path)) is not None for kind in kinds):
+    if any(kind.needs == "folder" and kind.claim(str(path)) is not None for kind in source_kinds()):
         return None
     try:
         return path, find_frames(path).slots
@@ -193,33 +196,38 @@ def images_without_rig(name: str) -> tuple[Path, tuple[str, ...]] | None:
 
 def opens_by_name(name: str) -> bool:
     """Return whether `open_source` knows the kind of a source's name; a program may make sources of its own."""
-    return _kind(name.partition(":")[0]) is not None
+    return _named(name)[0] is not None
 
 
 def missing_path(name: str) -> Path | None:
     """Return the file or folder that a source's name needs and that does not exist, else None."""
-    scheme, colon, rest = name.partition(":")
-    if scheme == "live" and colon:
+    kind, rest = _named(name)
+    if kind is _OWN["live"] and rest:
         return missing_path(rest)
-    kind = _kind(scheme)
-    name, rest = split_topics(name)[0], split_topics(rest)[0]
-    if kind is None:
-        return None if path_exists(name) or recording_files(name) else user_path(name)
-    if kind.needs == "nothing" or path_exists(rest) or recording_files(rest):
+    rest = split_topics(rest)[0]
+    if (kind is not None and kind.needs == "nothing") or path_exists(rest) or recording_files(rest):
         return None
-    return next((user_path(part) for part in rest.split(",") if not path_exists(part)), user_path(rest))
+    parts = [rest] if kind is None else rest.split(",")
+    return next((user_path(part) for part in parts if not path_exists(part)), user_path(rest))
 
 
-def _kind(scheme: str) -> SourceKind | None:
-    return next((kind for kind in source_kinds() if kind.scheme == scheme), None)
+def _named(name: str) -> tuple[SourceKind | None, str]:
+    """Return the kind that a name's scheme says, and the rest of the name; None and all of it without a scheme."""
+    scheme, _, rest = name.partition(":")
+    kind = next((kind for kind in source_kinds() if kind.scheme == scheme), None)
+    return kind, name if kind is None else rest
 
 
-def _guess(name: str) -> tuple[SourceKind, str]:
+def _resolved(name: str) -> tuple[SourceKind, str]:
+    """Return the kind of a source, by its scheme or by what is at its path, and what is to be opened."""
+    named, rest = _named(name)
+    if named is not None:
+        return named, rest
     kinds, problems = source_kinds(), added_by_others(GROUP, SourceKind)[1]
     name, topics = split_topics(name)
     for kind in kinds:
-        if name and (rest := kind.claim(name)) is not None:
-            return kind, rest + topics
+        if name and (path := kind.claim(name)) is not None:
+            return kind, path + topics
     forms = "; ".join([", ".join(kind.form for kind in kinds), *problems.values()])
     if name and user_path(name).exists():
         raise SourceError(

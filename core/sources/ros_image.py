@@ -128,7 +128,9 @@ class RawImage:
     def color(self, shape: tuple[int, int], *, copy: bool = True) -> Uint8Array:
         """Return a colour image: RGB uint8, shape (H, W, 3); ``copy`` as of `depth`, errors as of `channel`."""
         if self.encoding in _WIDE:
-            return self._narrow().color(shape)
+            upper = self.data[: len(self.data) // 2 * 2].reshape(-1, 2)[:, 0 if self.big_endian else 1]
+            narrow = replace(self, encoding=_WIDE[self.encoding], step=self.step // 2, data=np.ascontiguousarray(upper))
+            return narrow.color(shape)
         if self.encoding in _PLANES:
             return np.asarray(cv2.cvtColor(self._planes(shape, 1.5), _PLANES[self.encoding]), np.uint8)
         if self.encoding == "nv24":
@@ -143,11 +145,6 @@ class RawImage:
         if conversion is None:
             return pixels.copy() if copy else pixels
         return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
-
-    def _narrow(self) -> RawImage:
-        """Return the image with the upper 8 of each 16 bits."""
-        upper = self.data[: len(self.data) // 2 * 2].reshape(-1, 2)[:, 0 if self.big_endian else 1]
-        return replace(self, encoding=_WIDE[self.encoding], step=self.step // 2, data=np.ascontiguousarray(upper))
 
     def _planes(self, shape: tuple[int, int], planes: float) -> Uint8Array:
         """Return an image whose brightness and colour lie below each other: uint8, shape (planes * H, W)."""

@@ -9,7 +9,6 @@ import math
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -40,10 +39,6 @@ from .plan import Plan, TuneError, open_recording
 #: Values of `OBJECTIVES` and ``points``; those that are undefined are missing. And why the
 #: trial's parameters cannot be used; empty if they can.
 Measured = tuple[dict[str, float], str]
-
-#: Time in which other workers and programs have the processor does not count, except on Windows, whose clock of
-#: threads counts in 16 ms.
-_clock_ns: Final = time.perf_counter_ns if sys.platform == "win32" else time.thread_time_ns
 
 
 @lru_cache(8)
@@ -105,9 +100,9 @@ class _Run:
         asked = frame if self._averages else replace(frame)  # of a copy no step is known; an average must not see two
         if not self._ms and not self._averages:
             self._pipeline.process(replace(frame))  # the first is slow
-        started = _clock_ns()
+        started_ns = time.thread_time_ns()  # without the time in which others have the processor
         patch = self._pipeline.process(asked)
-        self._ms.append(1e-6 * (_clock_ns() - started))
+        self._ms.append(1e-6 * (time.thread_time_ns() - started_ns))
         figures = {"points": float(len(patch.points))}
         if truth is not None:
             figures |= truth.compare(patch)
@@ -167,8 +162,6 @@ class Workers:
 
     def submit(self, work: Callable[..., Any], *arguments: object) -> Future[Any]:
         """Submit a batch; Ctrl+C is held back, since a process started for it would end with a traceback."""
-        if not hasattr(signal, "pthread_sigmask"):  # Windows
-            return self.executor.submit(work, *arguments)
         usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
         try:
             return self.executor.submit(work, *arguments)

@@ -11,7 +11,7 @@ from ..output.messages import nanoseconds, patch_parts, text
 from ..output.writer import export_mcap
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
-from ..sources.mcap.messages import Topic
+from ..sources.ros.messages import Topic
 from .advice.findings import EXAMINED_EVERY, Examiner
 
 

@@ -12,7 +12,7 @@ from fakes import FakeCameras, FakeSource, at_rest
 from hands import CONTROL, show_source, type_path
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.sources.folder import export_folder
-from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.tactune_files import McapSource
 from tactune.widgets.basics.fields import format_number
 
 LENGTH = 24

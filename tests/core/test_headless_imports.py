@@ -28,7 +28,7 @@ def test_importing_all_of_the_core_imports_nothing_of_the_window():
 def test_reading_and_recording_frames_load_no_compiler():
     program = """
 import sys
-import tactune.core.output.writer, tactune.core.sources.folder, tactune.core.sources.mcap.source
+import tactune.core.output.writer, tactune.core.sources.folder, tactune.core.sources.tactune_files
 print("numba" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reference_patches import reference_patch
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.lab.reference import reference_patch
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source

@@ -12,7 +12,7 @@ import lz4.frame
 import pytest
 
 from attacks import bounded
-from tactune.core.calibration.lens import fit_lens
+from tactune.core.calibration.folder_rig import fit_lens
 from tactune.core.errors import TactuneError
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source

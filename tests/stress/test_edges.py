@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from reference_patches import reference_patch
 from rigs import one_place_rig
 from tactune.core.contact.outliers.grid import Grid
 from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import TactuneError
 from tactune.core.lab.bench import synthetic_scene
-from tactune.core.lab.reference import reference_patch
 from tactune.core.model.frames import ColorCamera, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import Preset
@@ -119,10 +119,10 @@ def test_image_sizes(size, model):
 
 
 def test_arrays_of_any_layout_give_the_same_bits():
-    scene = synthetic_scene(600, 96, 72)
+    scene = synthetic_scene(600)
     expected = ContactPipeline(scene.preset, scene.rig).process(scene.frame)
     frame = scene.frame
-    wide = np.zeros((72, 192), np.uint16)
+    wide = np.zeros((480, 1280), np.uint16)
     wide[:, ::2] = frame.proximity_depth
     fortran = np.asfortranarray(frame.tactile_depth)
     read_only = frame.proximity_color.copy()

@@ -38,7 +38,6 @@ from tactune.core.estimation.pose import open_poses
 from tactune.core.lab import table
 from tactune.core.lab.scan import load_scan, load_transform
 from tactune.core.model.alignment import PointPair
-from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
 from tactune.core.model.frames import TrueStrain
 from tactune.core.model.patch import AlignedDepth, ContactPatch
@@ -65,7 +64,7 @@ DATA = Path(__file__).parent.parent / "data"
 POSE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
 PRESET = Preset(contact_test="tolerance").with_value("alignment.rigid.T_proximity_tactile", POSE)
 FRAMES = [make_frame(n) for n in range(3)]
-CLOUDS = [PointCloud(np.full((2000 + n, 3), 0.3 + n, np.float32)) for n in range(2)]
+POINTS = [np.full((2000 + n, 3), 0.3 + n, np.float32) for n in range(2)]
 _numbers = itertools.count()
 
 
@@ -139,7 +138,7 @@ def write_patches(path: Path, n: int) -> None:
     nothing = np.zeros(shape, np.uint8), AlignedDepth.empty(shape)
     with PatchWriter(path, RIG, Preset(), 30.0) as writer:
         for number in range(3):
-            writer.write(ContactPatch(number, CLOUDS[n].points, *nothing, RIG, {}), number / 30)
+            writer.write(ContactPatch(number, POINTS[n], *nothing, RIG, {}), number / 30)
 
 
 def write_untouched(folder: Path, n: int) -> None:
@@ -293,7 +292,11 @@ def copied(name: str) -> Callable[[Path, int], object]:
 
 
 def cloud(name: str) -> Kind:
-    return Kind(lambda f, n: write_cloud(f / name, CLOUDS[n]))
+    def write(folder: Path, n: int) -> None:
+        colors = dict.fromkeys(("red", "green", "blue"), np.zeros(len(POINTS[n]), np.uint8))
+        write_cloud(folder / name, dict(zip("xyz", POINTS[n].T, strict=True)) | colors)
+
+    return Kind(write)
 
 
 def read_hdf5(folder: Path) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from tactune.core.sources.mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES
 from tactune.core.sources.ros.dds import Participant
+from tactune.core.sources.ros.messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES
 
 WIDTH, HEIGHT = 848, 480
 CAMERAS = ("l515", "d405")

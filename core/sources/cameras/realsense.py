@@ -42,8 +42,8 @@ class RealSenseDriver(CameraDriver):
 
     def open(self, serial: str, role: CameraRole) -> Camera:
         for device in self._query():
-            if _serial(device) == serial:
-                return RealSenseCamera(load_driver(), device, describe(device), role)
+            if (info := describe(device)).serial == serial:
+                return RealSenseCamera(load_driver(), device, info, role)
         raise SourceError(f"the RealSense camera with the serial {serial} is not connected; plug it in")
 
     def hint(self) -> str:
@@ -115,12 +115,6 @@ def describe(device: Any) -> DeviceInfo:
         )
     except RuntimeError as error:
         return DeviceInfo(model="unknown", serial="", problem=f"it does not answer ({error}); plug it in again")
-
-
-def _serial(device: Any) -> str:
-    with suppress(RuntimeError):  # unplugged at this moment
-        return str(device.get_info(load_driver().camera_info.serial_number))
-    return ""
 
 
 # One camera

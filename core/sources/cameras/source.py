@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from threading import Condition, Event, Lock, Thread
 from typing import Final, Literal
 
@@ -12,6 +13,7 @@ from ...errors import SourceError, as_sentence
 from ...model.frames import Rig, SensorFrame, Shot
 from ...preset import CamerasSection
 from ..base import CameraHealth, CameraOption, CameraRole, FrameSource, Health, Progress
+from ..capture.source import ProcessSource
 from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Images
 from .drivers import SCHEME, camera_drivers, choose, connected_devices
 from .pairing import Pairer, Timed
@@ -98,7 +100,10 @@ class CameraThread:
             self.alive_s = time.monotonic()
             try:
                 if self._camera is None:
-                    self._open_again()
+                    if self._open().calibration != self.calibration:
+                        changed = f"the {self.info.title} has another calibration than before: open the cameras again"
+                        raise SourceError(changed)
+                    self._problem = ""
                 else:
                     self._read(self._camera)
             except Exception as error:  # a driver may raise anything; without this the camera would stay silent
@@ -127,15 +132,12 @@ class CameraThread:
         self._camera = camera
         return camera
 
-    def _open_again(self) -> None:
-        if self._open().calibration != self.calibration:
-            raise SourceError(f"the {self.info.title} has another calibration than before: open the cameras again")
-        self._problem = ""
-
     def _read(self, camera: Camera) -> None:
         images = camera.read(_READ_S)
         now_s = time.monotonic()
-        if images is not None and not self._lacks_color(images):
+        # the mask needs the proximity camera's colour, nothing the tactile camera's
+        needs_color = self.role == "proximity" and self.calibration.color is not None
+        if images is not None and (images.color is not None or not needs_color):
             if self._last_number is not None:
                 self.dropped += max(images.number - self._last_number - 1, 0)
             self._last_number = images.number
@@ -143,10 +145,6 @@ class CameraThread:
             self._take(self.role, images, now_s)
         elif now_s > self._revive_at_s:
             self._close_camera()
-
-    def _lacks_color(self, images: Images) -> bool:
-        """Whether images are incomplete: the mask needs the proximity camera's colour, nothing the tactile camera's."""
-        return self.role == "proximity" and images.color is None and self.calibration.color is not None
 
     def _close_camera(self) -> None:
         with self._options_lock:
@@ -162,6 +160,23 @@ HUNG_S: Final = 8.0
 _MAX_WAITING: Final = 60
 #: How long images wait for the other camera, which may deliver late.
 _PATIENCE_S: Final = 1.0
+_ROLES: Final[tuple[CameraRole, ...]] = ("proximity", "tactile")
+
+
+def open_in_process(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
+    """Open ``PROXIMITY,TACTILE``, serial numbers, or ``,TACTILE`` alone; else those of the preset, or by model."""
+    chosen, roles = cameras or CamerasSection(), _ROLES
+    if rest:
+        serials = [serial.strip() for serial in rest.split(",")]
+        if len(serials) != 2 or not serials[1]:
+            raise SourceError(
+                f"cameras:{rest}: give both serial numbers, as in cameras:f0090001,130322270002, or none, or "
+                "cameras:,130322270002 for a tactile camera only"
+            )
+        roles = _ROLES if serials[0] else _ROLES[1:]
+        for role, serial in zip(_ROLES, serials, strict=True):
+            chosen = chosen.model_copy(update={role: getattr(chosen, role).model_copy(update={"serial": serial})})
+    return ProcessSource(partial(open_cameras, chosen, roles=roles), progress)
 
 
 def open_cameras(cameras: CamerasSection, progress: Progress, *, roles: Sequence[CameraRole]) -> FrameSource:

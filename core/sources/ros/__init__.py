@@ -1,1 +1,1 @@
-"""Recordings of any ROS program: containers, topics, and the source that plays them."""
+"""ROS: messages and containers of recordings, live topics by DDS, and the sources that play both."""

@@ -27,9 +27,9 @@ from ruamel.yaml import YAML
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
 from ..base import Progress, part_of
-from ..mcap.messages import Bag, long_name
-from ..mcap.reader import MAGIC, McapBag
 from ..ros_image import DamagedFileError, damage_told
+from .mcap import MAGIC, McapBag
+from .messages import Bag, long_name
 
 if sys.version_info >= (3, 14):
     from compression import zstd

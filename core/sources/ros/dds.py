@@ -11,7 +11,6 @@ import ctypes
 import ipaddress
 import os
 import socket
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -21,7 +20,7 @@ from typing import Any, Final
 from rosbags.interfaces import Nodetype
 
 from ...errors import MissingExtraError
-from ..mcap.messages import TRANSFORMS, TYPES
+from .messages import TRANSFORMS, TYPES
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -201,7 +200,10 @@ class Listener(Participant):
 
     def topics(self) -> dict[str, str]:
         """Return the topics of ROS 2 that are published, with their message types."""
-        return {each.topic_name.removeprefix("rt"): _ros_type(each.type_name) for each in self._published()}
+        return {
+            each.topic_name.removeprefix("rt"): each.type_name.replace("::dds_::", "::").replace("::", "/").rstrip("_")
+            for each in self._published()
+        }
 
     def close(self) -> None:
         self.__dict__.pop("_publications", None)
@@ -280,10 +282,6 @@ def _raw_type(name: str) -> type[IdlStruct]:
     return raw
 
 
-def _ros_type(name: str) -> str:
-    return name.removesuffix("_").replace("::dds_::", "::").replace("::", "/")
-
-
 def _field_type(description: Any) -> Any:
     kind, argument = description
     if kind == Nodetype.BASE:
@@ -300,8 +298,6 @@ def _field_type(description: Any) -> Any:
 
 def _receive_loopback_only(domain: int) -> None:
     """Bind a domain's sockets to the loopback device: Cyclone DDS receives on all, whichever interface it is given."""
-    if sys.platform != "linux":
-        return
     ports = range(7400 + 250 * domain, 7400 + 250 * (domain + 1))
     for descriptor in Path("/proc/self/fd").iterdir():
         if not descriptor.is_socket():

@@ -27,9 +27,9 @@ from ..cameras.pairing import period_s
 from ..cameras.source import CameraSource
 from ..capture.source import ProcessSource
 from ..lens import Lens, camera_info_lens
-from ..mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
 from ..ros_image import FLOAT_UNIT_M, RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
+from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
 from .source import COUNT_UNIT_M, Frames
 from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, split_name, survey
 

@@ -19,10 +19,10 @@ from ..base import Progress
 from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
 from ..lens import Lens, camera_info_lens
-from ..mcap.messages import POSES, Bag, matrix_of
 from ..recorded import RecordedCamera, RecordedSource
 from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told
 from .bags import open_bag
+from .messages import POSES, Bag, matrix_of
 from .topics import (
     ImageTopic,
     Topics,

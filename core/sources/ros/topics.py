@@ -18,8 +18,8 @@ from ...errors import ExportError, SourceError, counted, foreign
 from ...model.files import atomic_path
 from ...model.loading import read_json
 from ..base import split_topics
-from ..mcap.messages import CAMERA_INFO, IMAGE, Bag
 from ..ros_image import DamagedFileError, RawImage
+from .messages import CAMERA_INFO, IMAGE, Bag
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 #: What a person may name, as in ``proximity.depth=/camera/depth/image_rect_raw``.

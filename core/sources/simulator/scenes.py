@@ -144,9 +144,15 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     elif variant.move:
         about_x, about_y, heading = pressed.rotation_deg
         pressed = replace(pressed, rotation_deg=(about_x, about_y, 0.0))
-        way = _slide(heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
+        centre_m = _HANDLE_M if pressed.kind == CUP else (0.0, 0.0)
+        places = [_place(n / (_MOVE_STATES - 1), heading, centre_m) for n in range(_MOVE_STATES)]
+        way = _there_and_back(_MOVE_DEPTH_M, places)
+    elif name == "tray":
+        way = _there_and_back(
+            _TRAY_DEPTH_M, [Step(0.0, 0.0, _TRAY_DEPTH_M, (roll, 0.0, 0.0)) for roll in TRAY_ROLLS_DEG]
+        )
     else:
-        way = _roll() if name == "tray" else _approach()
+        way = _approach()
     usual = _FINE_CELLS if press not in ("", "none") else _MOVE_CELLS if variant.move else design.cells
     design = replace(design, fold_m=_FOLD_M if variant.move else 0.0, cells=cells or usual)
     words = (
@@ -206,14 +212,9 @@ def _still(depth_m: float) -> Way:
     return way, (len(way) - 1,), (0,) * _STILL_FRAMES
 
 
-def _slide(heading_deg: float, centre_m: tuple[float, float]) -> Way:
-    """Press, then turn about a point of the object while it moves across the membrane, and back the same way."""
-    places = [_place(n / (_MOVE_STATES - 1), heading_deg, centre_m) for n in range(_MOVE_STATES)]
-    return _there_and_back(_still(_MOVE_DEPTH_M)[0], places)
-
-
-def _there_and_back(inward: tuple[Step, ...], places: list[Step]) -> Way:
-    """Press at the first place, then pass through all of them and back."""
+def _there_and_back(depth_m: float, places: list[Step]) -> Way:
+    """Press at the first place to a depth, then pass through all of them and back."""
+    inward = _still(depth_m)[0]
     way = [places[0]._replace(depth_m=step.depth_m) for step in inward[:-1]] + places
     there = list(range(len(places)))
     return tuple(way), tuple(range(len(inward) - 1, len(way))), tuple(there + there[::-1])
@@ -228,12 +229,6 @@ def _place(time: float, heading_deg: float, centre_m: tuple[float, float]) -> St
     shift = complex(_MOVE_ACROSS_M * (share - 0.5), _MOVE_SWAY_M * sway) + before - now
     turns = _MOVE_SWAY_DEG * sway, _MOVE_SWAY_DEG * sway, heading_deg + turn
     return Step(shift.real, shift.imag, _MOVE_DEPTH_M, turns)
-
-
-def _roll() -> Way:
-    """Press the tray into the membrane and turn it about x through `TRAY_ROLLS_DEG` and back."""
-    rolls = [Step(0.0, 0.0, _TRAY_DEPTH_M, (roll, 0.0, 0.0)) for roll in TRAY_ROLLS_DEG]
-    return _there_and_back(_still(_TRAY_DEPTH_M)[0], rolls)
 
 
 # Names of sources, such as ``cup?press=low&seed=3``: read, checked and written here only

@@ -28,7 +28,7 @@ from platformdirs import user_cache_dir
 from pydantic import TypeAdapter
 
 from ...errors import ExportError
-from ...model.clouds import truth_cloud
+from ...model.clouds import truth_points
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
 from ...model.loading import read_file
@@ -140,7 +140,7 @@ class SimulatorSource(SeekableSource):
         assert truth.depth_m is not None
         assert truth.pressure_pa is not None
         assert truth.force_n is not None
-        points = truth_cloud(truth, self._both).points @ T_tactile_proximity[:3, :3].T + T_tactile_proximity[:3, 3]
+        points = truth_points(truth, self._both) @ T_tactile_proximity[:3, :3].T + T_tactile_proximity[:3, 3]
         column, row = np.rint(lens.project(points)).astype(int).T
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         contact, pressure_pa, around = np.zeros(shape, np.uint8), np.zeros(shape, np.float32), np.ones((3, 3), np.uint8)

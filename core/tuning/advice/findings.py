@@ -23,10 +23,9 @@ from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
 from ...preset import Preset
 from ...rig.bias import UNKNOWN_BIAS_M, MeasuredBias, pressed_bias, print_bias, scene_bias
-from .fields import suggest_tolerance
 from .mask import find_prints
 from .proposal import Evidence, Finding, Proposal
-from .suggest import propose_alignment
+from .suggest import propose_alignment, suggest_tolerance
 
 #: Step between the rows and columns that are read where every pixel is not needed.
 _STRIDE: Final = 4

@@ -116,22 +116,6 @@ def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
     return Proposal("mask", changes, label, sentence, present), covering
 
 
-def _behind(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
-    """Return the tactile depth of each proximity pixel, and how far it sees behind the prints, metres."""
-    frame.check_against(rig)
-    expected_m, difference_m = depth_differences(frame, preset, rig)
-    with np.errstate(invalid="ignore"):
-        prints_m = most_frequent_m(difference_m[np.abs(difference_m) < _MAX_BIAS_M])
-    return expected_m - difference_m, difference_m - prints_m
-
-
-def _near(behind_m: Float32Array) -> Uint8Array:
-    """Return where the proximity camera measures the membrane, or something at it, without single pixels."""
-    with np.errstate(invalid="ignore"):
-        near = (np.abs(behind_m) < _ON_PRINT_M).view(np.uint8)
-    return np.asarray(cv2.morphologyEx(near, cv2.MORPH_OPEN, _THREE))
-
-
 def _large_groups(near: Uint8Array) -> BoolArray:
     """Return what may be contact: groups near the membrane that are much larger than most."""
     _, groups, stats, _ = cv2.connectedComponentsWithStats(near, connectivity=8)
@@ -156,11 +140,14 @@ def _one_colour(rgb: Uint8Array) -> bool:
 
 def _colours(frame: SensorFrame, preset: Preset, rig: Rig, *, pressed: bool) -> _Colours:
     """Tell prints from bare membrane by the depths, and read their colours."""
-    membrane_m, behind_m = _behind(frame, preset, rig)
-    near = _near(behind_m)
+    frame.check_against(rig)
+    expected_m, difference_m = depth_differences(frame, preset, rig)
     with np.errstate(invalid="ignore"):
+        behind_m = difference_m - most_frequent_m(difference_m[np.abs(difference_m) < _MAX_BIAS_M])  # the prints
         bare = behind_m > _THROUGH_M
-    rgb, seen = _membrane_colours(frame, bare | (near > 0), membrane_m, rig)
+        near = (np.abs(behind_m) < _ON_PRINT_M).view(np.uint8)
+    near = np.asarray(cv2.morphologyEx(near, cv2.MORPH_OPEN, _THREE))  # without single pixels
+    rgb, seen = _membrane_colours(frame, bare | (near > 0), expected_m - difference_m, rig)
     prints, bare = (near > 0) & seen, bare & (near == 0) & seen
     if pressed:
         large = _large_groups(near)

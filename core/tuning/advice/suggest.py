@@ -1,4 +1,4 @@
-"""Proposals for the sections of a preset: contact test, depth offset, and all at once."""
+"""Proposals for the sections of a preset: contact test, depth offset, limits that follow from noise, all at once."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per
 from ...contact.membrane.section import LARGEST_BIAS_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
+from ...contact.pressure.test import PRESSURE_SIGMAS
 from ...errors import AdviceError, FrameError, PresetError, RigMismatchError, minus
 from ...model.clouds import valid_depth
 from ...preset import CONTACT_TESTS, Preset
 from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress, part_of
-from .fields import suggest_pressure, suggest_tolerance
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -27,6 +27,8 @@ from .proposal import Evidence, Proposal
 _MIN_SEEN: Final = 0.1
 #: A bias is mended beyond this number of standard deviations, and from this size on, metres.
 _CERTAIN, _SMALLEST_M = 3.0, 0.0005
+#: t covers this number of standard deviations of the noise of both depths: 95 % of the pixels.
+_T_SIGMAS: Final = 2.0
 
 
 def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
@@ -164,6 +166,52 @@ def _mm(metres: float) -> str:
     return minus(f"{rounded:+.1f} mm") if rounded else "0 mm"
 
 
+def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
+    """Propose the tolerance that the measured noise asks for."""
+    noise = evidence.preset.noise
+    if noise is None:
+        raise AdviceError("tolerance: the noise of both cameras tells the tolerance; measure it (F6)")
+    sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
+    distance_m = noise.tactile.distance_m
+    return _proposal(
+        evidence,
+        "tolerance.t",
+        min(float(f"{_T_SIGMAS * sigma_m / distance_m:.2g}"), 1.0),
+        f"The difference of both depths has a noise of {1e3 * sigma_m:.1f} mm at {1e3 * distance_m:.0f} mm distance; t "
+        f"covers {_T_SIGMAS:g} standard deviations.",
+        "Nearly all contact passes, and no larger gap than noise requires.",
+    )
+
+
+def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
+    """Propose the smallest pressure that the measured noise allows, as a share of the inflation."""
+    preset, untouched = evidence.preset, evidence.untouched
+    if preset.noise is None or untouched is None:
+        raise AdviceError(
+            "pressure: the noise of the camera and the untouched frame tell the pressure limit; capture it and "
+            "measure the noise (F6)"
+        )
+    in_use = preset.with_value("contact_test", "pressure")
+    facts = ContactPipeline(in_use, evidence.rig, untouched).process(untouched).pressure
+    if facts is None or not math.isfinite(facts.relative_sigma):
+        raise AdviceError("pressure: the untouched frame shows too little of the membrane; capture it again")
+    limit = max(math.ceil(100 * PRESSURE_SIGMAS * facts.relative_sigma), 1) / 100
+    return _proposal(
+        evidence,
+        "pressure.limit",
+        limit,
+        f"Noise explains pressures up to {limit:.2f} of the inflation, averaged over {2e3 * facts.window_m:.0f} mm.",
+        "Nothing but noise is left out.",
+    )
+
+
+def _proposal(evidence: Evidence, path: str, value: float, sentence: str, expected: str) -> Proposal:
+    section, name = path.partition(".")[0], {"tolerance.t": "tolerance t", "pressure.limit": "pressure limit"}[path]
+    if value == evidence.preset.value(path):
+        return Proposal(section, {}, f"Keep {name}", sentence, expected)
+    return Proposal(section, {path: value}, f"{name[:1].upper()}{name[1:]} {100 * value:g} %", sentence, expected)
+
+
 #: Makes the proposal of one section. Raises AdviceError if the evidence does not support one.
 _SUGGEST: Final[dict[str, Callable[[Evidence, Progress], Proposal]]] = {
     "mask": suggest_mask,
@@ -224,8 +272,11 @@ def suggest_all(
             f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
         )
     present, parts, refusals = evidence.preset, [], {}
+    of_tests = {name for test in CONTACT_TESTS.values() for name in test.sections}
+    unread = of_tests if evidence.rig.has_proximity else of_tests | set(_OF_TWO_CAMERAS)
     for number, section in enumerate(SECTIONS):
-        if section not in (_read_sections(evidence) if sections is None else sections):
+        is_read = section not in unread or section in evidence.preset.test.sections  # by the test proposed so far
+        if not (is_read if sections is None else section in sections):
             continue
         try:
             proposal = _suggest(section, evidence, part_of(progress, number, len(SECTIONS)))
@@ -262,10 +313,3 @@ def _suggest(section: str, evidence: Evidence, progress: Progress) -> Proposal:
     after = pipeline.process(evidence.frame).area_mm2
     words = f"The patch of the present frame changes from {before:,.0f} to {after:,.0f} mm²."
     return replace(proposal, expected=f"{proposal.expected} {words}")
-
-
-def _read_sections(evidence: Evidence) -> set[str]:
-    """Return the sections that the preset's contact test reads on this rig."""
-    of_tests = {name for test in CONTACT_TESTS.values() for name in test.sections}
-    unread = of_tests if evidence.rig.has_proximity else of_tests | set(_OF_TWO_CAMERAS)
-    return set(SECTIONS) - unread | set(evidence.preset.test.sections)

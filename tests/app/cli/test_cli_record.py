@@ -16,7 +16,7 @@ from ros_messages import points_of
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import untouched_frame
-from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.tactune_files import McapSource
 
 
 def assert_same_recording(first, second):

@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from tactune.app.cli import computer
-from tactune.app.cli.computer import Check, State, check_cameras, check_drivers, check_packages
+from tactune.app.cli import doctor
+from tactune.app.cli.doctor import Check, State, check_cameras, check_drivers, check_packages
 from tactune.app.sources.list_devices import Child, python_child, run_child
 
 
@@ -36,8 +36,8 @@ def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on(monkeypatch):
         raise ZeroDivisionError("dust")
 
     checks = [check_the_moon, lambda: [Check("Sun", State.OK, "shines")]]
-    monkeypatch.setattr(computer, "all_checks", lambda: checks)
-    lines = computer.check_computer()
+    monkeypatch.setattr(doctor, "all_checks", lambda: checks)
+    lines = doctor.check_computer()
     assert [(line.name, line.state) for line in lines] == [("the moon", State.WARN), ("Sun", State.OK)]
     assert "ZeroDivisionError: dust" in lines[0].found
 
@@ -99,7 +99,7 @@ def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
 
 def test_the_report_is_lines_with_remedies_and_its_status_tells(tactune, monkeypatch):
     lines = [Check("Sun", State.OK, "shines"), Check("Moon", State.WARN, "waxes", "Wait.")]
-    monkeypatch.setattr(computer, "all_checks", lambda: [lambda: lines])
+    monkeypatch.setattr(doctor, "all_checks", lambda: [lambda: lines])
     done = tactune("doctor")
     assert done.status == 0
     assert done.out.splitlines()[:3] == [
@@ -113,6 +113,6 @@ def test_the_report_is_lines_with_remedies_and_its_status_tells(tactune, monkeyp
 
 
 def test_the_real_checks_run_here():
-    lines = {line.name: line for line in computer.check_computer()}
+    lines = {line.name: line for line in doctor.check_computer()}
     assert lines["Packages"].state is lines["Shared memory"].state is State.OK
     assert all(line.remedy for line in lines.values() if line.state is not State.OK)

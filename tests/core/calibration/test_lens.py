@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.core.calibration.lens import check_lens, fit_lens
+from tactune.core.calibration.folder_rig import check_lens, fit_lens
 from tactune.core.errors import CalibrationError
 from tactune.core.model.intrinsics import Distortion, Intrinsics
 

@@ -11,7 +11,7 @@ from tactune.core.errors import FrameError
 from tactune.core.lab import faults
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.model.patch import SURE
-from tactune.core.output.cloud_files import patch_cloud
+from tactune.core.output.cloud_files import patch_columns
 from tactune.core.rig.noise import measure_noise
 from tactune.core.rig.untouched import average_untouched
 from tactune.core.sources.presets import load_preset
@@ -117,7 +117,7 @@ def test_every_point_and_record_carries_the_doubt_about_its_contact(rig):
     preset, untouched, touch, _ = rig
     frame = touch.read(0)
     patch = ContactPipeline(preset, touch.rig, untouched).process(frame)
-    stated = patch_cloud(patch, frame, touch.rig).attributes["touch_probability"]
+    stated = patch_columns(patch, frame, touch.rig)["touch_probability"]
     assert sum(len(contact.members) for contact in patch.contacts) == len(patch.points)
     for contact in patch.contacts:
         np.testing.assert_allclose(stated[contact.members], contact.doubt.touch_probability, rtol=1e-6)

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from reference_patches import reference_patch
 from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.lab.bench import synthetic_scene
-from tactune.core.lab.reference import reference_patch
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset

@@ -65,7 +65,6 @@ def test_a_line_determines_one_angle_and_a_dot_none(rig):
     slanted = estimator.of_points(plane_points(rig, *pixels(90, 1.2, 0.7), 0.1, 0.05))
     assert (slanted.roll_rad, slanted.pitch_rad) == (None, None)
     dot = estimator.of_points(plane_points(rig, *pixels(3, 3), 0.1, 0.05))
-    assert dot.points > 12
     assert set(dot.record().values()) == {None}
     assert set(estimator.of_points(np.empty((0, 3), np.float32)).record().values()) == {None}
 

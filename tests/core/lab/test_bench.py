@@ -9,6 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from reference_patches import reference_patch
 from tactune.core.errors import TactuneError
 from tactune.core.lab import bench
 from tactune.core.lab.bench import (
@@ -20,7 +21,6 @@ from tactune.core.lab.bench import (
     scene_names,
     synthetic_scene,
 )
-from tactune.core.lab.reference import reference_patch
 
 # Importing it takes 2 s in every test process that collects this file.
 pytestmark = [
@@ -31,7 +31,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def scene():
-    return synthetic_scene(3000, 160, 120)
+    return synthetic_scene(3000)
 
 
 def test_baseline_and_pipeline_agree_with_the_float64_reference(scene):

@@ -18,7 +18,7 @@ from tactune.core.lab.scan import (
     scan_truth,
     surface_points,
 )
-from tactune.core.model.clouds import pixel_areas_m2, truth_cloud
+from tactune.core.model.clouds import pixel_areas_m2, truth_points
 from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
@@ -106,7 +106,7 @@ def test_a_scan_shows_the_solvers_contact(source, painted):
     scan, pose = load_scan(painted[0]), load_transform(painted[1])
     np.testing.assert_array_equal(pose, source.facts(FRAME).T_proximity_object)
     contact = painted_contact(scan)
-    truth = truth_cloud(source.read(FRAME).truth, source.rig).points
+    truth = truth_points(source.read(FRAME).truth, source.rig)
     # Points 0.6 mm apart, as the truth's pixels are, lie 0.27 mm from the nearest of others on the same surface.
     assert symmetric_rmse_m(moved(pose, surface_points(scan, contact)[0]), truth) < 0.35e-3
     area_mm2 = 1e6 * pixel_areas_m2(truth[:, 2], source.rig.proximity.intrinsics).sum()

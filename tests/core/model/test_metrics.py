@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tactune.core.contact.pipeline import ContactPatch
-from tactune.core.model.clouds import truth_cloud
+from tactune.core.model.clouds import truth_points
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.metrics import PixelScores, TruthTree, compare_with_truth, pixel_scores, symmetric_rmse_m
@@ -86,7 +86,7 @@ def make_patch(mask, points):
 
 def test_truth_without_depth_has_no_cloud():
     truth = GroundTruth(np.ones((4, 6), bool))
-    assert truth_cloud(truth, RIG).points.shape == (0, 3)
+    assert truth_points(truth, RIG).shape == (0, 3)
     scores = compare_with_truth(make_patch(truth.contact, np.ones((24, 3), np.float32)), truth, RIG)
     assert scores["iou"] == 1.0
     assert math.isnan(scores["rmse_mm"])
@@ -94,7 +94,7 @@ def test_truth_without_depth_has_no_cloud():
 
 def test_a_patch_is_scored_in_pixels_and_millimetres():
     truth = make_truth()
-    cloud = truth_cloud(truth, RIG).points
+    cloud = truth_points(truth, RIG)
     mask = truth.contact.copy()
     mask[3, 0] = False
     mask[0, 0:2] = True

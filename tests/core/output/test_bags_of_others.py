@@ -5,7 +5,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tactune.core.errors import SourceError
-from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.tactune_files import McapSource
 
 LATE_NS = {"/tactune/frame": 0, "/proximity/depth/image": 3_000_000, "/tactile/depth/image": 9_000_000}
 

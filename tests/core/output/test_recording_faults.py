@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import AdviceError, SourceError
-from tactune.core.output.writer import Bag, SessionWriter
-from tactune.core.sources.mcap.messages import Topic
-from tactune.core.sources.mcap.reader import MAGIC, McapBag
-from tactune.core.sources.mcap.source import McapSource
+from tactune.core.output.writer import BagWriter, SessionWriter
+from tactune.core.sources.ros.mcap import MAGIC, McapBag
+from tactune.core.sources.ros.messages import Topic
+from tactune.core.sources.tactune_files import McapSource
 
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
 
@@ -89,13 +89,13 @@ def test_what_is_no_recording_is_refused(tmp_path, content, sentence):
 
 def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same_frame, monkeypatch):
     go = threading.Event()
-    write = Bag.write
+    write = BagWriter.write
 
     def slowly(self, *message):
         assert go.wait(60)
         write(self, *message)
 
-    monkeypatch.setattr(Bag, "write", slowly)
+    monkeypatch.setattr(BagWriter, "write", slowly)
     monkeypatch.setattr("tactune.core.output.writer._QUEUE_BYTES", 1)
     frames = make_frames(6)
     writer = SessionWriter(tmp_path / "slow.mcap", rig)

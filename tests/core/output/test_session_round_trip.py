@@ -13,7 +13,7 @@ from tactune.core import load_preset
 from tactune.core.errors import ExportError, FrameError, PresetError
 from tactune.core.model.frames import GroundTruth
 from tactune.core.output.writer import SessionWriter
-from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.tactune_files import McapSource
 
 SIZES = st.tuples(st.integers(1, 40), st.integers(1, 24))
 #: Seconds of clocks that jump by decades; log times that follow four such jumps still fit into 63 bits.

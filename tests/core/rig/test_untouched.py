@@ -22,9 +22,9 @@ from tactune.core.rig.untouched import (
     place_at_rest,
     save_untouched,
 )
-from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.tactune_files import McapSource
 
 HEIGHT, WIDTH = 96, 128
 MEMBRANE = 2800

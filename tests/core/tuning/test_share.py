@@ -7,9 +7,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.tactune_files import McapSource
 from tactune.core.tuning.advice.findings import Examiner
 from tactune.core.tuning.share import share_mcap
 

@@ -10,7 +10,7 @@ from rigs import one_place_rig
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.membrane.bias import FIRM_M2
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.clouds import truth_cloud
+from tactune.core.model.clouds import truth_points
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.metrics import symmetric_rmse_m
 from tactune.core.model.patch import Provenance
@@ -30,7 +30,7 @@ def test_the_error_is_hardly_above_that_of_the_best_tolerance(sensor):
     """The best t of each scene is chosen with its truth, which no user has."""
     source = SimulatorSource("cup", seed=1, variant=Variant(press="medium"), sensor=sensor)
     frame = source.read(0)
-    seen, truth = replace(frame, truth=None), truth_cloud(frame.truth, source.rig).points
+    seen, truth = replace(frame, truth=None), truth_points(frame.truth, source.rig)
     ours = symmetric_rmse_m(ContactPipeline(MEMBRANE, source.rig).process(seen).points, truth)
     pipeline, best = ContactPipeline(TOLERANCE, source.rig), np.inf
     for t in (0.002, 0.004, 0.006, 0.008, 0.011, 0.016, 0.03):
@@ -50,7 +50,7 @@ def test_wrong_tactile_depth_in_places_less_than_doubles_the_error():
         v, u = rng.integers(0, (height - 8, width - 8))
         square = spoiled[v : v + 8, u : u + 8]
         square[:] = square * rng.uniform(0.8, 1.2)
-    truth, pipeline = truth_cloud(frame.truth, source.rig).points, ContactPipeline(MEMBRANE, source.rig)
+    truth, pipeline = truth_points(frame.truth, source.rig), ContactPipeline(MEMBRANE, source.rig)
     patches = map(pipeline.process, (frame, replace(frame, tactile_depth=spoiled)))
     clean, spoilt = (symmetric_rmse_m(patch.points, truth) for patch in patches)
     assert spoilt < 2 * clean

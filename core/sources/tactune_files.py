@@ -12,20 +12,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...errors import PresetError, SourceError
-from ...model.arrays import AnyArray, Float64Array
-from ...model.files import recording_files, user_path
-from ...model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, Shot
-from ...model.loading import parse_json, parse_untouched
-from ...model.rig_file import parse_rig
-from ...preset import Preset
-from ...preset.file import preset_and_note
-from ..base import Progress
-from ..cameras.camera import Calibration
-from ..cameras.pairing import nearest_within, period_s
-from ..recorded import RecordedCamera, RecordedSource
-from ..ros_image import RawImage, damage_told
-from .messages import (
+from ..errors import PresetError, SourceError
+from ..model.arrays import AnyArray, Float64Array
+from ..model.files import recording_files, user_path
+from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, Shot
+from ..model.loading import parse_json, parse_untouched
+from ..model.rig_file import parse_rig
+from ..preset import Preset
+from ..preset.file import preset_and_note
+from .base import Progress
+from .cameras.camera import Calibration
+from .cameras.pairing import nearest_within, period_s
+from .recorded import RecordedCamera, RecordedSource
+from .ros.mcap import McapBag
+from .ros.messages import (
     FORMAT_VERSION,
     IMAGE,
     METADATA_NAME,
@@ -36,7 +36,7 @@ from .messages import (
     Topic,
     parse,
 )
-from .reader import McapBag
+from .ros_image import RawImage, damage_told
 
 #: How the images of each topic are read, from a message and the shape (H, W) that the rig states.
 _IMAGES: Final[dict[Topic, Callable[[RawImage, tuple[int, int]], AnyArray]]] = {
