@@ -39,10 +39,6 @@ class MissingExtraError(TactuneError):
     """An optional dependency that is not installed."""
 
 
-class PluginError(TactuneError):
-    """An entry point of another package that cannot be loaded."""
-
-
 class CalibrationError(TactuneError):
     """Points that determine no alignment, or contradict each other."""
 

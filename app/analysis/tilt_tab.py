@@ -46,9 +46,8 @@ class TiltTab(LiveTab):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        #: The tilt on the screen; None before the first frame with a patch.
-        self.tilt: Tilt | None = None
-        self._newest: tuple[Result, Tilt] | None = None
+        #: The frame and the tilt on the screen; None before the first frame with a patch.
+        self.shown: tuple[Result, Tilt] | None = None
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch, self.axis = QLabel(), QLabel(), QLabel()
         self.plot = Plot("Time, s", "Angle, degrees", movable=True)
@@ -102,24 +101,24 @@ class TiltTab(LiveTab):
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
             return None
-        self._newest = result, found
+        self.shown = result, found
         self._show()
         angles = [getattr(found, name) for name in _ANGLES]
         degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
-        return (found.sequence, round(found.time_s, 6), found.points, *degrees)
+        frame = result.frame
+        return (frame.sequence, round(frame.proximity_time_s, 6), len(result.patch.points), *degrees)
 
     def _show_none(self) -> None:
         """Show no tilt: those of other frames would be taken for this one's."""
-        self.tilt = self._newest = None
+        self.shown = None
         self.cloud.set_cloud(None)
         for label in (self.roll, self.pitch, self.axis):
             label.setText("")
 
     def _show(self) -> None:
-        if self._newest is None:
+        if self.shown is None:
             return
-        result, tilt = self._newest
-        self.tilt = tilt
+        result, tilt = self.shown
         assert result.patch is not None
         points, lines = result.patch.points, plane_lines(result.patch.points, tilt)
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)

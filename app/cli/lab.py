@@ -339,7 +339,7 @@ def bench(
             checks = lab_bench.run_gate(_ROUNDS, progress.preparing)
         else:
             engines = list(lab_bench.ENGINES)
-            rows = lab_bench.compare_engines(lab_bench.scene_names(), engines, _ROUNDS, progress.preparing)
+            rows = lab_bench.compare_engines(list(lab_bench.SCENES), engines, _ROUNDS, progress.preparing)
     if not gate:
         say(f"{head}\n\n{lab_bench.rows_text(rows)}")
         return

@@ -18,7 +18,7 @@ from ...core.errors import TactuneError
 from ...core.model.files import atomic_path, remove_leftovers
 from ...core.model.loading import read_json
 from ...core.preset import Preset, now
-from ...core.preset.file import preset_from_text, preset_json
+from ...core.preset.file import preset_and_note, preset_json
 from .document import Document
 
 T = TypeVar("T")
@@ -198,6 +198,6 @@ def unsaved_work(folder: Path) -> list[UnsavedWork]:
         with suppress(*DAMAGE):
             content = read_json(file)
             path = Path(content["path"]) if content["path"] else None
-            preset = preset_from_text(json.dumps(content["preset"]), origin=str(file))
+            preset = preset_and_note(json.dumps(content["preset"]), str(file))[0]
             found.append((content["kept"], UnsavedWork(file, preset, path)))
     return [work for _, work in sorted(found, key=lambda kept: kept[0], reverse=True)]

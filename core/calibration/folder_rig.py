@@ -40,7 +40,6 @@ _LENS_FILES: Final = (
     "K.txt",
     "intrinsics.txt",
 )
-
 #: Files that count as pictures.
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp")
 
@@ -471,17 +470,11 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
 
 
 def _focal_sd(jacobians: Sequence[AnyArray], noise_px: float) -> float:
-    """Return the larger standard deviation of fx and fy, pixels.
+    """Return the larger standard deviation of fx and fy, pixels; corners have ``noise_px`` in one direction.
 
     It is the noise over the length of that part of a column which no other parameter explains. OpenCV's own deviations
-    are small where parameters cannot be told apart, since it inverts without those directions.
-
-    Parameters
-    ----------
-    jacobians : sequence of float64, shape (2 N, 15)
-        Of the corners of each picture by turn, shift, fx, fy, cx, cy, k1, k2, p1, p2 and k3, which is fixed.
-    noise_px : float
-        Standard deviation of a corner, one direction.
+    are small where parameters cannot be told apart, since it inverts without those directions. Columns of
+    ``jacobians``, (2 N, 15), one for each picture: turn, shift, fx, fy, cx, cy, k1, k2, p1, p2 and k3, which is fixed.
     """
     rows = []
     for jacobian in jacobians:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ..errors import minus
 from ..model.alignment import CalibrationRecord, ModelSummary, PointPair, SnapshotRecord
 from ..model.arrays import Float64Array
-from ..model.files import json_fields
+from ..model.files import finite_or_none
 from ..model.frames import Rig
 from ..preset import HomographyAlignment, Preset, RigidAlignment, now
 from .agreement import Agreement
@@ -252,7 +252,10 @@ class CalibrationReport:
             "alignment_mm": self.chosen.alignment_mm,
             "verdict": self.verdict,
             "warnings": list(self.warnings),
-            "pairs": [json_fields(vars(pair) | {"residual_px": pair.residual_px}) for pair in self.chosen.pairs],
+            "pairs": [
+                {name: finite_or_none(value) if isinstance(value, float) else value for name, value in numbers.items()}
+                for numbers in (vars(pair) | {"residual_px": pair.residual_px} for pair in self.chosen.pairs)
+            ],
             "refused": dict(self.refused),
             "date": self.date.isoformat(),
         }

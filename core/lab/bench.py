@@ -28,7 +28,7 @@ from ..contact.alignment import tactile_pose
 from ..contact.outliers.grid import Grid
 from ..contact.outliers.statistical import statistical_inliers
 from ..contact.pipeline import ContactPipeline
-from ..errors import MissingExtraError, TactuneError
+from ..errors import MissingExtraError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Uint16Array
 from ..model.clouds import nearest_pixels, truth_points
 from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
@@ -68,16 +68,9 @@ class BenchScene:
     frame: SensorFrame
 
 
-def scene_names() -> tuple[str, ...]:
-    """Return the names of all scenes, from no contact to full contact."""
-    return tuple(_SCENES)
-
-
 @lru_cache(maxsize=16)
 def make_scene(name: str) -> BenchScene:
-    if name not in _SCENES:
-        raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
-    return _SCENES[name]()
+    return SCENES[name]()
 
 
 def _simulated(scene: str, depth_m: float) -> BenchScene:
@@ -135,7 +128,8 @@ def _counts(depth_m: Float64Array, unit_m: float) -> Uint16Array:
     return np.clip(np.rint(depth_m / unit_m), 1, 65534).astype(np.uint16)
 
 
-_SCENES: dict[str, Callable[[], BenchScene]] = {
+#: All scenes, from no contact to full contact.
+SCENES: Final[dict[str, Callable[[], BenchScene]]] = {
     "empty": lambda: synthetic_scene(0),  # nothing within 25 mm of the membrane
     "untouched": lambda: _simulated("cup", -math.inf),  # before the first touch, with reflecting prints
     "light-touch": lambda: _simulated("cup", LIGHT_M),

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..contact.pipeline import ContactPipeline
-from ..errors import PluginError, TactuneError
+from ..errors import TactuneError
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch
 from ..model.plugins import added_by_others
@@ -90,7 +90,7 @@ def check_methods(names: Sequence[str], known: Sequence[str] | None = None) -> N
     known = method_names() if known is None else known
     for name in names:
         if name in method_problems():
-            raise PluginError(method_problems()[name])
+            raise TactuneError(method_problems()[name])
         if name not in known:
             raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
 

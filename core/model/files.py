@@ -94,17 +94,6 @@ def finite_or_none(number: float | None) -> float | None:
     return None if number is None or not math.isfinite(number) else float(number)
 
 
-def json_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields as JSON can hold them, those of inner mappings too: nan and infinity become None."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return json_fields(value)
-        return finite_or_none(value) if isinstance(value, float) else value
-
-    return {name: plain(value) for name, value in fields.items()}
-
-
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows with equal keys as CSV, atomically; None becomes an empty cell."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ..errors import FrameError
-from .arrays import BoolArray, Float32Array, Uint8Array, Uint16Array
+from .arrays import AnyArray, BoolArray, Float32Array, Uint8Array, Uint16Array
 from .intrinsics import Intrinsics
 
 #: Raw counts that mean *no depth*; a D405 stream really contains 65535.
@@ -272,6 +272,14 @@ class SensorFrame:
         """Return number and time stamps by name, as files keep them."""
         times = {name: float(getattr(self, name)) for name in ("proximity_time_s", "tactile_time_s")}
         return {"sequence": int(self.sequence), **times}
+
+    def images(self, rig: Rig) -> dict[str, AnyArray]:
+        """Return the images and the truth by name, as files keep them; without what is missing or of a stand-in."""
+        names = ("proximity_depth", "proximity_color", "tactile_depth", "tactile_color")
+        found = {name: getattr(self, name) for name in names if rig.has_proximity or "proximity" not in name}
+        if self.truth is not None:
+            found |= {"truth_contact": self.truth.contact, "truth_depth_m": self.truth.depth_m}
+        return {name: image for name, image in found.items() if image is not None}
 
     def check_against(self, rig: Rig) -> None:
         """Raise `FrameError` if the size of an image differs from the rig."""

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from ..errors import FrameError, SourceError, foreign
+from ..errors import FrameError, foreign
 from .arrays import AnyArray
 from .frames import GroundTruth, SensorFrame
 
@@ -182,11 +182,3 @@ def frame_from_bytes(data: bytes) -> SensorFrame:
         raise FrameError(f"it has no array {error.args[0]}") from error
     except (ValueError, TypeError, OverflowError) as error:
         raise FrameError(str(error)) from error
-
-
-def parse_untouched(data: bytes, origin: str) -> SensorFrame:
-    """Return the frame; `SourceError` where the bytes are none."""
-    try:
-        return frame_from_bytes(data)
-    except FrameError as error:
-        raise SourceError(f"{origin}: its untouched frame is damaged ({error}); copy or record it again") from error

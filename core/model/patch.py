@@ -89,6 +89,11 @@ class AlignedDepth:
         return cls(np.empty(shape, np.float32), np.empty(shape, np.float32))
 
 
+def relative_difference(expected_m: Float32Array, measured_m: Float32Array) -> Float32Array:
+    """Return ``(dp - dt) / dp``, as histogram and pictures show it; the kernels' `agree` tests it."""
+    return np.asarray((expected_m - measured_m) / expected_m, np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Pixels that may be contact, with their points."""
@@ -354,9 +359,8 @@ class ContactPatch:
 
     @cached_property
     def relative_difference(self) -> Float32Array:
-        """Float32 (H, W), ``(dp - dt) / dp``; nan where either is missing."""
-        expected, measured = self.aligned.expected_m, self.aligned.measured_m
-        return np.asarray((expected - measured) / expected)
+        """Float32 (H, W), what the tolerance test compares with t; nan where a depth is missing."""
+        return relative_difference(self.aligned.expected_m, self.aligned.measured_m)
 
     @cached_property
     def area_mm2(self) -> float:

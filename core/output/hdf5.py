@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
@@ -105,8 +105,10 @@ class _Disk:
 
 def _append(group: Any, rig: Rig, frame: SensorFrame, index: int) -> None:
     """Write a frame at an index; what it lacks and others have is 0, truth nan."""
-    for name, value in _values(rig, frame):
-        array = np.asarray(value)
+    for words, value in (frame.numbers() | frame.images(rig)).items():
+        if words == "proximity_time_s" and not rig.has_proximity:
+            continue
+        name, array = words.replace("_", "/", 1), np.asarray(value)
         if name not in group:
             image = (
                 {"chunks": (1, *array.shape), "compression": "gzip", "shuffle": True}
@@ -119,22 +121,6 @@ def _append(group: Any, rig: Rig, frame: SensorFrame, index: int) -> None:
             )
         group[name].resize(index + 1, axis=0)
         group[name][index] = array
-
-
-def _values(rig: Rig, frame: SensorFrame) -> Iterator[tuple[str, Any]]:
-    yield "sequence", np.int64(frame.sequence)
-    if rig.has_proximity:
-        yield "proximity/depth", frame.proximity_depth
-        yield "proximity/color", frame.proximity_color
-        yield "proximity/time_s", frame.proximity_time_s
-    yield "tactile/depth", frame.tactile_depth
-    yield "tactile/time_s", frame.tactile_time_s
-    if frame.tactile_color is not None:
-        yield "tactile/color", frame.tactile_color
-    if frame.truth is not None:
-        yield "truth/contact", frame.truth.contact
-        if frame.truth.depth_m is not None:
-            yield "truth/depth_m", frame.truth.depth_m
 
 
 def _describe(file: Any, rig: Rig, rate_hz: float) -> None:

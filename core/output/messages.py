@@ -363,16 +363,8 @@ def image_streams(rig: Rig) -> Mapping[Topic, ImageStream]:
 
 
 def images_of(frame: SensorFrame, rig: Rig) -> Iterator[tuple[Topic, AnyArray]]:
-    if rig.has_proximity:
-        yield Topic.PROXIMITY_DEPTH, frame.proximity_depth
-        yield Topic.PROXIMITY_COLOR, frame.proximity_color
-    yield Topic.TACTILE_DEPTH, frame.tactile_depth
-    if frame.tactile_color is not None:
-        yield Topic.TACTILE_COLOR, frame.tactile_color
-    if frame.truth is not None:
-        yield Topic.TRUTH_CONTACT, np.where(frame.truth.contact, np.uint8(255), np.uint8(0))
-        if frame.truth.depth_m is not None:
-            yield Topic.TRUTH_DEPTH, frame.truth.depth_m
+    for name, image in frame.images(rig).items():
+        yield Topic[name.removesuffix("_m").upper()], image * np.uint8(255) if image.dtype == np.bool_ else image
 
 
 def _quaternion(pose: Float64Array) -> Any:

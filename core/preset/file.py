@@ -74,13 +74,8 @@ def preset_text(path_or_name: Path | str) -> tuple[str, str]:
     return text, str(path)
 
 
-def preset_from_text(text: str, origin: str) -> Preset:
-    """Parse the text of a preset file; ``origin`` names it in messages."""
-    return preset_and_note(text, origin)[0]
-
-
 def preset_and_note(text: str, origin: str) -> tuple[Preset, str]:
-    """Parse the text of a preset file; return the preset and a note that names fields that are gone, or nothing."""
+    """Return the preset of a file's text, named ``origin`` in messages, and a note of fields that are gone, or ""."""
     try:
         document = parse_json(text)
     except ValueError as error:

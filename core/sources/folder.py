@@ -345,22 +345,15 @@ def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
     frame.check_against(rig)
     folder.mkdir()
     _write_file(folder / "frame.json", json_text(frame.numbers()))
-    _write_image(folder / "tactile_depth.png", frame.tactile_depth)
-    if rig.has_proximity:
-        _write_image(folder / "proximity_depth.png", frame.proximity_depth)
-        _write_image(folder / "proximity_color.png", frame.proximity_color[:, :, ::-1])
-    if frame.tactile_color is not None:
-        _write_image(folder / "tactile_color.png", frame.tactile_color[:, :, ::-1])
-    if frame.truth is not None:
-        _write_image(folder / "truth_contact.png", frame.truth.contact.astype(np.uint8) * np.uint8(255))
-        if frame.truth.depth_m is not None:
+    for name, image in frame.images(rig).items():
+        if name == "truth_depth_m":
             array = io.BytesIO()
-            np.save(array, frame.truth.depth_m)  # np.save does not report a full disk
+            np.save(array, image)  # np.save does not report a full disk
             _write_file(folder / "truth_depth.npy", array.getvalue())
-
-
-def _write_image(path: Path, image: AnyArray) -> None:
-    _write_file(path, cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes())
+            continue
+        pixels = image[:, :, ::-1] if image.ndim == 3 else image
+        pixels = pixels * np.uint8(255) if pixels.dtype == np.bool_ else np.ascontiguousarray(pixels)
+        _write_file(folder / f"{name}.png", cv2.imencode(".png", pixels)[1].tobytes())
 
 
 def _write_file(path: Path, data: bytes | str) -> None:

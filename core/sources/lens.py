@@ -273,21 +273,16 @@ def _cameras(path: Path, data: Any) -> list[StatedLens]:
         raise ValueError(f"it holds a {type(data).__name__}, not names with values")
     inner = {str(name): value for name, value in data.items() if isinstance(value, dict)}
     if inner and all("cam_k" in _lower(value) for value in inner.values()):
-        return [_of_bop(path, [_camera(path, name, value) for name, value in inner.items()])]
+        first, *others = (_camera(path, name, value) for name, value in inner.items())
+        if first is None or any(
+            each is None or (each.matrix, each.unit_m) != (first.matrix, first.unit_m) for each in others
+        ):
+            raise SourceError(f"{path}: cam_K or depth_scale changes from image to image; a rig has one lens")
+        return [first]
     if (one := _camera(path, str(data.get("camera_name") or data.get("name") or path.stem), data)) is not None:
         return [one]
     found = (_camera(path, name, value) for name, value in inner.items())
     return [camera for camera in found if camera is not None]
-
-
-def _of_bop(path: Path, cameras: Sequence[StatedLens | None]) -> StatedLens:
-    """Return the lens that all images of a scene have."""
-    first = cameras[0]
-    if first is None or any(
-        each is None or (each.matrix, each.unit_m) != (first.matrix, first.unit_m) for each in cameras
-    ):
-        raise SourceError(f"{path}: cam_K or depth_scale changes from image to image; a rig has one lens")
-    return first
 
 
 def _lower(fields: _Fields) -> dict[str, Any]:

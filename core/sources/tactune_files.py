@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import PresetError, SourceError
+from ..errors import FrameError, PresetError, SourceError
 from ..model.arrays import AnyArray, Float64Array
 from ..model.files import recording_files, user_path
 from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, Shot
-from ..model.loading import parse_json, parse_untouched
+from ..model.loading import frame_from_bytes, parse_json
 from ..model.rig_file import parse_rig
 from ..preset import Preset
 from ..preset.file import preset_and_note
@@ -102,7 +102,10 @@ class McapSource(RecordedSource):
 
     def untouched(self) -> SensorFrame | None:
         data = self._bag.attachment(UNTOUCHED_NAME)
-        return None if data is None else parse_untouched(data, str(self._path))
+        try:
+            return None if data is None else frame_from_bytes(data)
+        except FrameError as error:
+            raise SourceError(f"{self._path}: its untouched frame is damaged ({error}); record it again") from error
 
     @property
     def has_poses(self) -> bool:

@@ -21,18 +21,18 @@ def opened(qtbot, window, source=None, index=3):
     analysis = window.analysis.window
     qtbot.waitExposed(analysis)
     tab = analysis.made["tilt"]
-    qtbot.waitUntil(lambda: tab.tilt is not None and tab.tilt.sequence == index)
+    qtbot.waitUntil(lambda: tab.shown is not None and tab.shown[0].frame.sequence == index)
     return tab
 
 
 def go_to(qtbot, window, tab, index):
     window.worker.seek(index)
-    qtbot.waitUntil(lambda: tab.tilt is not None and tab.tilt.sequence == index)
+    qtbot.waitUntil(lambda: tab.shown is not None and tab.shown[0].frame.sequence == index)
 
 
 def test_shows_the_angles(qtbot, window):
     tab = opened(qtbot, window)
-    alone = tab.tilt
+    alone = tab.shown[1]
     assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
     assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
     assert [name for name, _ in tab.cloud.legend()] == ["patch", "fitted plane"]
@@ -44,14 +44,14 @@ def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, win
     assert tab.roll.text()
     assert window.document.edit("rig", small_rig(64).model_dump(mode="json"))
     qtbot.waitUntil(lambda: window.result.patch is None)
-    qtbot.waitUntil(lambda: tab.tilt is None)
+    qtbot.waitUntil(lambda: tab.shown is None)
     assert (tab.roll.text(), tab.axis.text()) == ("", "")
     assert tab.cloud.message() == tab.status.text() == window.result.problem != ""
 
 
 def test_rows_are_exported_removed_and_brought_back(qtbot, window, tmp_path):
     tab = opened(qtbot, window)
-    first = tab.tilt
+    first = tab.shown[1]
     go_to(qtbot, window, tab, 4)
     before = dict(tab.rows)
     QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)

@@ -64,7 +64,7 @@ DATA = Path(__file__).parent.parent / "data"
 POSE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
 PRESET = Preset(contact_test="tolerance").with_value("alignment.rigid.T_proximity_tactile", POSE)
 FRAMES = [make_frame(n) for n in range(3)]
-POINTS = [np.full((2000 + n, 3), 0.3 + n, np.float32) for n in range(2)]
+CLOUDS = [np.full((2000 + n, 3), 0.3 + n, np.float32) for n in range(2)]
 _numbers = itertools.count()
 
 
@@ -138,7 +138,7 @@ def write_patches(path: Path, n: int) -> None:
     nothing = np.zeros(shape, np.uint8), AlignedDepth.empty(shape)
     with PatchWriter(path, RIG, Preset(), 30.0) as writer:
         for number in range(3):
-            writer.write(ContactPatch(number, POINTS[n], *nothing, RIG, {}), number / 30)
+            writer.write(ContactPatch(number, CLOUDS[n], *nothing, RIG, {}), number / 30)
 
 
 def write_untouched(folder: Path, n: int) -> None:
@@ -293,8 +293,8 @@ def copied(name: str) -> Callable[[Path, int], object]:
 
 def cloud(name: str) -> Kind:
     def write(folder: Path, n: int) -> None:
-        colors = dict.fromkeys(("red", "green", "blue"), np.zeros(len(POINTS[n]), np.uint8))
-        write_cloud(folder / name, dict(zip("xyz", POINTS[n].T, strict=True)) | colors)
+        colors = dict.fromkeys(("red", "green", "blue"), np.zeros(len(CLOUDS[n]), np.uint8))
+        write_cloud(folder / name, dict(zip("xyz", CLOUDS[n].T, strict=True)) | colors)
 
     return Kind(write)
 

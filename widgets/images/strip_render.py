@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from ...core.model.arrays import BoolArray, Float32Array, Uint8Array
+from ...core.model.patch import relative_difference
 from ..basics.colormaps import (
     CONTACT_RGB,
     DIFFERENCE_LIMIT,
@@ -67,9 +68,8 @@ def depth_pane(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Arra
 
 
 def difference_pane(expected_m: Float32Array, measured_m: Float32Array, tolerance: float) -> Uint8Array:
-    """Draw (dp - dt) / dp, nan where one of them is missing."""
-    limit = difference_limit(tolerance)
-    relative = np.asarray((expected_m - measured_m) / expected_m, np.float32)
+    """Draw the relative difference of both depths; nan where one of them is missing."""
+    limit, relative = difference_limit(tolerance), relative_difference(expected_m, measured_m)
     return _colored(difference_lut(round(tolerance, 6), limit), difference_index(relative, limit))
 
 

@@ -253,7 +253,7 @@ def both_depths(place: Any, depth: Any, valid: Any, tactile: Any, alignment: Any
 
 @inline
 def agree(dp: Any, dt: Any, tolerance: Any) -> Any:
-    """Return in which lanes the expected and the measured depth pass the tolerance test, |dp - dt| <= t |dp|."""
+    """Return in which lanes both depths pass the tolerance test, |dp - dt| <= t |dp|; `accepted_range` bounds it."""
     return absolute(dp - dt) <= floats(tolerance) * absolute(dp)
 
 

@@ -10,6 +10,7 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -224,14 +225,10 @@ def load_topics(recording: Path) -> Topics:
         raise SourceError(f"{path} names no topics ({foreign(error)}); correct or remove it") from error
 
 
-def store_topics(recording: Path, topics: Topics) -> bool:
-    """Keep the topics beside a recording; return False where nothing can be written there."""
-    try:
-        with atomic_path(stored_path(recording)) as temporary:
-            temporary.write_text(json.dumps(topics, indent=2) + "\n", "utf-8")
-    except ExportError:
-        return False
-    return True
+def store_topics(recording: Path, topics: Topics) -> None:
+    """Keep the topics beside a recording, unless nothing can be written there."""
+    with suppress(ExportError), atomic_path(stored_path(recording)) as temporary:
+        temporary.write_text(json.dumps(topics, indent=2) + "\n", "utf-8")
 
 
 def list_topics(images: Sequence[ImageTopic], types: Mapping[str, str]) -> str:

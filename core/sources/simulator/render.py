@@ -309,7 +309,7 @@ def shade(
 ) -> None:
     """Colour the membrane: its prints, and between them a clear film that shows what is behind, in its haze.
 
-    ``tint`` is the object's linear RGB, ``gamma`` the table of `gamma_table`.
+    ``tint`` is the object's linear RGB, ``gamma`` the display value of each of 4096 levels.
     """
     height, width = membrane.shape
     r = camera_pose
@@ -363,8 +363,3 @@ def flag(behind: Float32Array, attributes: Float32Array, texture: Uint8Array, te
                     if behind[j, i] > 0.0 and abs(behind[j, i] - z) > _EDGE_STEP_M:
                         bits |= EDGE_FLAG
             flags[v, u] = bits
-
-
-def gamma_table() -> Uint8Array:
-    """Return the table from 4096 linear levels to 8-bit display values."""
-    return np.round(255.0 * np.linspace(0.0, 1.0, 4096) ** (1 / 2.2)).astype(np.uint8)

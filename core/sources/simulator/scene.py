@@ -33,7 +33,6 @@ from .render import (
     dot_counts,
     dot_grid,
     flag,
-    gamma_table,
     node_areas,
     paint_sheet,
     rasterise,
@@ -148,7 +147,8 @@ class Press:
         self._cameras = cameras(rig, membrane.design)
         design = membrane.design
         self._sheet = paint_sheet(design.width_m, design.height_m, scene.print)
-        self._gamma = gamma_table()
+        #: From 4096 linear levels to 8-bit display values.
+        self._gamma = np.round(255.0 * np.linspace(0.0, 1.0, 4096) ** (1 / 2.2)).astype(np.uint8)
         self._rotation = turn(self.pressed.rotation_deg)
         self._touch_z = self._first_touch()
 
@@ -187,7 +187,9 @@ class Press:
         design, fine = self.membrane.design, self.membrane.mesh
         if first == 0:
             return [], None
-        coarse = Membrane(replace(design, cells=_way_cells(design)))
+        columns, rows = design.cells  # half as many along each side, but enough for deep presses
+        cells = (columns // 4 * 2, rows // 4 * 2) if columns >= 2 * _FEWEST_COLUMNS else design.cells
+        coarse = Membrane(replace(design, cells=cells))
         before: list[Float64Array] = []
         held = None
         for number, step in enumerate(self.scene.way[: first + 1]):
@@ -268,12 +270,6 @@ class Press:
 
 def _counts(depth_m: Float32Array) -> Uint16Array:
     return np.round(depth_m.astype(np.float64) / CLEAN_UNIT_M).astype(np.uint16)
-
-
-def _way_cells(design: MembraneDesign) -> tuple[int, int]:
-    """Return the coarse mesh's cells, half as many along each side but enough for deep presses."""
-    columns, rows = design.cells
-    return (columns // 4 * 2, rows // 4 * 2) if columns >= 2 * _FEWEST_COLUMNS else design.cells
 
 
 def _follow(

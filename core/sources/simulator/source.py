@@ -158,7 +158,8 @@ class SimulatorSource(SeekableSource):
         """Return the scene from the package or the cache, or compute and cache it."""
         path = cache_file(scene.name, f"{scene.key} {self._both.model_dump_json()}")
         progress(0.0, f"Looking for the scene {_title(scene)} in the cache")
-        solved = _open_scenes.get(path) or find_solved(path, len(scene.drawn))
+        count = len(scene.drawn)
+        solved = _open_scenes.get(path) or load_scene(SHIPPED / path.name, count) or load_scene(path, count)
         if solved is None:
             solved = self.solve_anew(scene, progress)
             with suppress(ExportError):  # the next start takes as long
@@ -210,11 +211,6 @@ def cache_file(scene: str, key: str) -> Path:
     """Return the cache file of a scene; ``key`` is text with all its parameters."""
     digest = hashlib.sha256(f"{_IMAGES_VERSION} {key}".encode()).hexdigest()
     return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest[:16]}.npz"
-
-
-def find_solved(path: Path, count: int) -> SolvedScene | None:
-    """Return the ``count`` states of a cache file from the package or from the cache; None if neither has them."""
-    return load_scene(SHIPPED / path.name, count) or load_scene(path, count)
 
 
 class _PackedStates(Sequence[CleanState]):

@@ -92,13 +92,8 @@ def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Fi
     return None
 
 
-def no_depth(it: Situation) -> Finding | None:
-    """A camera measures hardly any depth, or the tactile depth is implausible."""
-    return depth_missing(it.frame, it.rig)
-
-
 def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
-    """Return the finding of `no_depth`; it needs no patch."""
+    """A camera measures hardly any depth, or the tactile depth is implausible; no patch is needed."""
     remedies = {
         "proximity": "raise its laser power or gain, and check that nothing covers its window",
         "tactile": "light the membrane evenly, and check that it has texture and that the lens is clean",
@@ -311,8 +306,8 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, bulge,
-    false_contact,
+    lambda it: depth_missing(it.frame, it.rig),
+    covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, bulge, false_contact,
 )  # fmt: skip
 
 

@@ -51,6 +51,6 @@ def test_strain_beside_the_solvers(tactune, tmp_path):
 def test_the_bench_compares(tactune, monkeypatch):
     monkeypatch.setattr(lab, "_ROUNDS", 1)
     monkeypatch.delitem(bench.ENGINES, "open3d")
-    monkeypatch.setattr(bench, "scene_names", lambda: ["empty"])
+    monkeypatch.setattr(bench, "SCENES", {"empty": bench.SCENES["empty"]})
     status, out, _ = tactune("lab", "bench")
     assert status == 0 and "numpy" in out and "tactune" in out

@@ -11,7 +11,7 @@ from tactune.core.calibration.report import PROXIMITY_NOISE_M, TACTILE_NOISE_M, 
 from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
 from tactune.core.preset import Preset
-from tactune.core.preset.file import preset_from_text, preset_json
+from tactune.core.preset.file import preset_and_note, preset_json
 
 RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
 
@@ -188,7 +188,7 @@ def test_an_offset_of_the_depth_is_corrected_only_if_it_is_certain(rig, offset_m
 
 def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig, usual):
     preset = usual.apply_to(Preset())
-    assert preset_from_text(preset_json(preset), "memory") == preset
+    assert preset_and_note(preset_json(preset), "memory")[0] == preset
     assert np.array(preset.alignment.rigid.T_proximity_tactile) == pytest.approx(usual.rigid.alignment.pose)
     assert preset.alignment.calibration.proximity_serial == "SIM-L515"
     assert preset.rig == rig

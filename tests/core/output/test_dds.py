@@ -13,8 +13,8 @@ import pytest
 from fast_dds import FastDds
 from ros_messages import points_of
 from tactune.core.errors import PublishError
-from tactune.core.output.dds import DdsSink
 from tactune.core.output.publisher import Publisher
+from tactune.core.output.ros2 import DdsSink
 
 PERIOD_S = 1 / 30
 

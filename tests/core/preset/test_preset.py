@@ -12,7 +12,7 @@ from tactune.core.contact.checks import check_rig, preset_notes
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
-from tactune.core.preset.file import preset_and_note, preset_from_text, preset_json, save_preset, shipped_presets
+from tactune.core.preset.file import preset_and_note, preset_json, save_preset, shipped_presets
 from tactune.core.preset.preset import json_schema, preset_paths
 from tactune.core.sources.presets import load_preset
 
@@ -44,7 +44,7 @@ presets = st.fixed_dictionaries(
 
 @given(presets)
 def test_a_preset_survives_its_file_bit_for_bit(preset):
-    assert preset_from_text(preset_json(preset), "memory") == preset
+    assert preset_and_note(preset_json(preset), "memory")[0] == preset
 
 
 @given(presets)
@@ -158,7 +158,7 @@ def test_a_preset_with_a_field_that_is_gone_says_which_and_loads(tmp_path, monke
     document["tolerance"]["share"] = document["polish"] = 3
     text = json.dumps(document)
     with pytest.raises(PresetError, match=r"tolerance\.share is not a field"):
-        preset_from_text(text, "old.json")
+        preset_and_note(text, "old.json")
     monkeypatch.setattr(preset_file, "GONE", ("polish", "tolerance.share", "tolerance.other", "name.part"))
     read, note = preset_and_note(text, "old.json")
     assert read == preset
