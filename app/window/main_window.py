@@ -17,7 +17,7 @@ from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
-from ...widgets.basics.layouts import hbox, scrolling, vbox
+from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
@@ -162,7 +162,9 @@ class MainWindow(QMainWindow):
         self._compared = scrolling(self.comparison)
         self.comparison.hide()
         self._compared.hide()
-        vbox((self._compared, 2), (self.modes, 1), self.rail, within=self.beside, margins=0, spacing=4)
+        # no box layout, which would take as much from the fields that differ as from the longer column
+        column = splitter(Qt.Orientation.Vertical, (self._compared, 2), (self.modes, 1), sizes=(20_000, 10_000))
+        vbox((column, 1), self.rail, within=self.beside, margins=0, spacing=4)
         self.beside.setFixedWidth(COLUMN_PX)
         self.search = Search(self._found_by_name, self.views.setFocus)
         self.mode_bar = ModeBar(self.actions_, self.menus.preset, self.search)
@@ -462,8 +464,8 @@ class MainWindow(QMainWindow):
             size = (room * 5 / 6).expandedTo(DEFAULT_SIZE)
             self.resize(size if QApplication.platformName() == "offscreen" else size.boundedTo(room))
         self.views.share_room()
-        for name, splitter in self.views.splitters.items():
-            splitter.restoreState(settings.blob(name))
+        for name, parts in self.views.splitters.items():
+            parts.restoreState(settings.blob(name))
         self.modes.choose(settings.text("window/mode"))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
         self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
@@ -477,8 +479,8 @@ class MainWindow(QMainWindow):
         self.views.back()
         settings = self.settings
         settings.set("window/geometry", self.saveGeometry())
-        for name, splitter in self.views.splitters.items():
-            settings.set(name, splitter.saveState())
+        for name, parts in self.views.splitters.items():
+            settings.set(name, parts.saveState())
         settings.set("window/mode", self.modes.mode.value)
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
         settings.set("view/point_size", self.views.point_size.value())
