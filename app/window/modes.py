@@ -39,8 +39,8 @@ class RunPanel(QWidget):
     ) -> None:
         super().__init__()
         self._live = QWidget()
-        record = hbox(text_button(actions.record), text_button(actions.recordings_folder), STRETCH)
-        vbox(heading("Record"), record, recording, 8, within=self._live, margins=0)
+        folder = hbox(text_button(actions.recordings_folder), STRETCH)
+        vbox(heading("Record"), folder, recording, 8, within=self._live, margins=0)
         self._no_live = NoteLabel("To record, open a live source: cameras, or live:sim for the simulator.")
         vbox(
             self._no_live,
