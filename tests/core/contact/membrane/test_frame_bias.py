@@ -103,6 +103,14 @@ def test_a_rigs_bias_that_has_changed_is_replaced_in_firm_contact():
     assert found_bias_m(preset, moved, source) == pytest.approx(0.006, abs=0.0005)
 
 
+def test_large_contact_outweighs_a_measured_bias_that_is_a_little_off():
+    source = cup("datasheet")
+    frame = source.read(0)
+    true_m = true_bias_m(frame, source)
+    values = {"mask.enabled": False, "noise": noise(true_m + 0.0008, 0.0005, "contact")}
+    assert found_bias_m(MEMBRANE.with_values(values), frame, source) == pytest.approx(true_m, abs=0.0002)
+
+
 def test_a_bias_that_is_larger_than_any_is_taken_for_a_gap():
     source = cup("clean")
     for bias_m, touches in ((LARGEST_BIAS_M - 0.001, True), (LARGEST_BIAS_M + 0.001, False)):
