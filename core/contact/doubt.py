@@ -39,8 +39,7 @@ _REACH: Final = 8.0
 _MAX_DENT_M: Final = 0.002
 #: Standard deviation of a dent that no averaging reduces, metres, and share of the movement elsewhere that adds to it.
 _DENT_FLOOR_M, _MOVED_SHARE = 0.0003, 0.5
-#: Where proximity and tactile depth have moved alike since the untouched frame, within this, metres, the proximity
-#: camera sees the membrane itself.
+#: Where both depths have moved alike, within this, metres, the proximity camera sees the membrane itself.
 _ALIKE_M: Final = 0.004
 #: Largest evidence of the untouched frame, natural logarithm of odds.
 _MAX_EVIDENCE: Final = 4.0
@@ -52,8 +51,7 @@ _SMALL_M2: Final = 15e-6
 #: A contact with a boundary error of more than this share of its radius may be none: odds fall by the second, natural
 #: logarithm, for each radius that the error is larger. Beyond the third share it is said.
 _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
-#: There is too little depth, or more noise than measured, beyond these values of `Boundary`; too little also where this
-#: share of the tactile depth is lost.
+#: There is too little depth beyond this share of the boundary or of the tactile depth; more noise beyond this ratio.
 _MANY_UNSEEN, _NOISIER = 0.2, 1.35
 #: A dent is missing, and said to be, from this evidence on.
 _MISSING: Final = -1.0
