@@ -58,7 +58,7 @@ _MISSING: Final = -1.0
 #: Of the inflation when it was untouched, the share below which the membrane counts as deflated.
 _DEFLATED: Final = 0.1
 #: Contact pressure from this many standard deviations on adds no doubt. The boundary's error as a share of the window.
-_SURE_SIGMAS, _OF_WINDOW = 5.0, 0.5
+_SURE_SIGMAS, _OF_WINDOW = 8.0, 0.5
 
 
 class Judge:
@@ -95,8 +95,8 @@ class Judge:
                     evidence = _dent_evidence(dent_m, elsewhere_m, area_m2, facts, noise_m4)
                     reasons = (*reasons, "no dent") if evidence < _MISSING else reasons
             if pressure is not None:
-                more, doubts = _pressure_evidence(contact, pressure)
-                evidence, reasons = evidence + more, (*reasons, *doubts)
+                evidence, doubts = _pressure_evidence(contact, pressure, evidence)
+                reasons = (*reasons, *doubts)
                 boundary_mm = 1e3 * _OF_WINDOW * pressure.edge_m
             radii = 1e-3 * boundary_mm / math.sqrt(area_m2 / math.pi)
             if radii > _ERROR_SHARE:
@@ -207,14 +207,16 @@ def _dent_evidence(
     return min(max(evidence, -_MAX_EVIDENCE), _MAX_EVIDENCE)
 
 
-def _pressure_evidence(contact: Candidates, facts: PressureFacts) -> tuple[float, tuple[str, ...]]:
-    """Return what the pressure in a contact adds to the odds of a touch, natural logarithm, and reasons for doubt."""
+def _pressure_evidence(contact: Candidates, facts: PressureFacts, dent: float) -> tuple[float, tuple[str, ...]]:
+    """Return what the pressure in a contact adds to the evidence of its dent, and reasons for doubt."""
     values = facts.relative.get().reshape(-1)[contact.pixels]
     values = values[np.isfinite(values)]
     sigmas = float(values.max()) / facts.relative_sigma if len(values) and facts.relative_sigma > 0 else 0.0
     evidence, reasons = min(sigmas - _SURE_SIGMAS, 0.0), []
     if evidence < _MISSING:
         reasons.append("pressure hardly above the noise")
+    # a dent in the same noise confirms nothing
+    evidence += dent if evidence == 0 else min(dent, 0.0)
     if facts.at_rim:
         evidence, reasons = evidence + math.log(_WRONG_ODDS), [*reasons, "at the rim"]
     if not facts.agrees:
