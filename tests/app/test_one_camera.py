@@ -71,7 +71,7 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
     assert not strip.panes["difference"].isVisible()
 
     show_source(qtbot, window, FakeSource(), 3)
-    assert window.views.views[CloudName.PROXIMITY].isVisible()
+    qtbot.waitUntil(window.views.views[CloudName.PROXIMITY].isVisible)  # a frame may come before the news of its source
     assert all(strip.tabs.isTabVisible(tab) for tab in range(4))
     assert window.panel.sections["alignment"].isVisible()
     for action in (actions.calibrate, actions.show_proximity):

@@ -193,8 +193,6 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points as a share of their size: they overlap.
 _APART = 0.75
-#: Largest step between the rows and columns that are drawn.
-_MAX_STEP = 4
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
@@ -273,7 +271,7 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     """Return the step between the rows and columns that are drawn, and the edge length of their points.
 
     Points are one pixel larger if they then overlap in the centre of the view, at the far end of the colours. While
-    frames follow each other, rows and columns are left out as long as the rest overlaps.
+    frames follow each other, every other row and column is left out if the rest overlaps.
     """
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
@@ -285,9 +283,7 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     needed = float(np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()) / _APART
     if not (seen[:, 2] > 0).all():
         return 1, look.point_size
-    step = 1
-    if look.running and 2 * needed <= look.point_size + 1:
-        step = min(max(int(look.point_size / needed), 2), _MAX_STEP)
+    step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
     return step, look.point_size + (look.point_size < step * needed <= look.point_size + 1)
 
 
