@@ -70,10 +70,12 @@ def draw_strip(
     as_masked = image if patch is None or patch.mask_colors is None else patch.mask_colors.get()
     panes: dict[str, Uint8Array] = {}
     if "color" in images:
-        color = compared = aligned_color(image, rig, depth_m, valid, typical_m, stride)
-        if as_masked is not image:
-            compared = aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
-        panes["color"] = color_pane(color, in_hsv_range(compared, preset.mask) if masked and shows_mask else None)
+        color, covered = aligned_color(image, rig, depth_m, valid, typical_m, stride), None
+        if masked and shows_mask:
+            same = as_masked is image
+            compared = color if same else aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
+            covered = in_hsv_range(compared, preset.mask)
+        panes["color"] = color_pane(color, covered)
     if images != {"color"}:  # aligning depth takes long
         if patch is not None:
             expected_m, measured_m = patch.aligned.expected_m[every], patch.aligned.measured_m[every]

@@ -93,7 +93,7 @@ def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Fi
 
 
 def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
-    """A camera measures hardly any depth, or the tactile depth is implausible; no patch is needed."""
+    """Find that a camera measures hardly any depth, or that tactile depth is implausible; without any patch."""
     remedies = {
         "proximity": "raise its laser power or gain, and check that nothing covers its window",
         "tactile": "light the membrane evenly, and check that it has texture and that the lens is clean",
