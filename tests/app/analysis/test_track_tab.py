@@ -131,9 +131,13 @@ def poses_are_published_also_behind_another_tab(qtbot, tab, source):
     tab.main.analysis.window.open_on("tilt")
     topics = ["/contact/patch", "/object/pose", "/tf"]
     with FoxgloveClient(port) as client:
-        client.subscribe(topics)
+
+        def receive():
+            client.subscribe(topics)
+            return next(client.frames(topics))
+
         with ThreadPoolExecutor(1) as thread:  # the window goes on meanwhile: it orders the tracking of each frame
-            received = thread.submit(next, client.frames(topics))
+            received = thread.submit(receive)
             tab.main.worker.set_speed(0.1)  # a busy machine, too, shall still be within the press
             tab.main.worker.play()
             qtbot.waitUntil(received.done)
