@@ -12,7 +12,7 @@ from .contact.kernels.chain import classify_rows, find_candidates
 from .contact.kernels.colors import color_lookup
 from .contact.kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
 from .contact.kernels.membrane import add_to_means, collect_points, find_differences
-from .contact.kernels.quadric import bend_quadrics, solve_quadrics
+from .contact.kernels.quadric import bend_quadrics, fit_quadrics
 from .contact.masking import in_hsv_range
 from .contact.outliers.point_search import search_all
 from .contact.outliers.row_search import search_rows
@@ -27,13 +27,13 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, those of the mask in the untouched frame included; of the average.
-_KERNELS: Final = {"tolerance": 12, "membrane": 15, "pressure": 7}
+_KERNELS: Final = {"tolerance": 12, "membrane": 15, "pressure": 9}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
 _LARGEST: Final[dict[str, tuple[Any, ...]]] = {
     "tolerance": (find_candidates, search_all),
     "membrane": (find_differences, collect_points),
-    "pressure": (solve_quadrics, bend_quadrics),
+    "pressure": (fit_quadrics, bend_quadrics),
 }
 _ALL: Final = (*sum(_LARGEST.values(), ()), search_rows, add_to_means, classify_rows, color_lookup)
 

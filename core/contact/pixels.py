@@ -139,7 +139,7 @@ class Pixels:
         if within is not None:
             ends = zip((max, max, min, min), self.region, within, strict=True)
             test = test._replace(region=kernels.Region(*(closer(own, other) for closer, own, other in ends)))
-        tiles, possible = self.coarse.tiles(images, test.limits)
+        tiles, possible = self.coarse.tiles(images, test.limits) if within is None else self.coarse.every_tile
         if possible == 0:
             return NO_CANDIDATES
         color = self.color_test(frame)

@@ -82,7 +82,7 @@ class CoarseTest:
     def __init__(self, alignment: AlignmentTables) -> None:
         width, height, tactile_width, tactile_height = alignment.size
         self.shape = tile_grid(width, height)
-        self._all = np.ones(self.shape, np.bool_)
+        self.every_tile = np.ones(self.shape, np.bool_), self.shape[0] * self.shape[1]
         # With a distorted lens the corners of a rectangle do not bound its projection.
         self.possible = not alignment.rigid or alignment.lens == PINHOLE
         if not self.possible:
@@ -109,7 +109,7 @@ class CoarseTest:
         Both depths may differ by ``margin_m`` beyond the tolerance.
         """
         if not self.possible:
-            return self._all, self._all.size
+            return self.every_tile
         count = _mark_tiles(
             images, self._alignment, self._tables, limits, np.float32(margin_m), self._buffers, self._tiles
         )

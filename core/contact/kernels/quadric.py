@@ -1,58 +1,108 @@
-"""Local quadratic fits: the normal equations of every cell, solved."""
+"""Local quadratic fits on cells of pixels: means of cells, normal equations, curvature, balance of forces."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from .compiling import kernel
 
+#: Side of a cell, pixels.
+CELL_PX: Final = 8
+#: Powers of x and y of the coefficients.
+POWERS: Final = np.array(((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
+# a check for division by zero keeps loops from working on several cells
+_fast_kernel = partial(kernel, error_model="numpy")
 
-@partial(kernel, error_model="numpy")  # a check for division by zero keeps loops from working on several cells
-def solve_quadrics(moments: Any, places: Any, right: Any, usable: Any, work: Any, out: Any, growth: Any) -> None:
-    """Solve M c = b at each usable cell by Cholesky's method; write c and the growth of the curvature's variance.
 
-    ``moments`` (15, H, W) are the windows' weighted moments, and ``places`` (6, 6) tells which of them each product of
-    two of 1, x, y, xx, xy and yy has; ``right`` (6, H, W) are those of the depth. ``out`` (6, H, W) receives nan
-    elsewhere; ``growth`` (H, W) the sum of the last diagonal elements of the inverse that belong to xx and yy; ``work``
-    is (7, 6, W): the cells of a row are computed side by side.
+@_fast_kernel
+def average_cells(counts: Any, top: Any, left: Any, means: Any, shares: Any) -> None:
+    """Write the mean of the valid counts (uint16) of each cell, (H, W), and the share of its pixels that are valid.
+
+    The cells begin at pixel (``top``, ``left``).
     """
-    cells = range(usable.shape[1])
-    for v in range(usable.shape[0]):
+    for row in range(means.shape[0]):
+        for column in range(means.shape[1]):
+            total, known = np.int32(0), np.int32(0)
+            for v in range(top + row * CELL_PX, top + (row + 1) * CELL_PX):
+                for i in range(CELL_PX):
+                    count = np.int32(counts[v, left + column * CELL_PX + i])
+                    has_depth = (count > 0) & (count < 65535)
+                    total += count if has_depth else np.int32(0)
+                    known += np.int32(has_depth)
+            means[row, column] = total / max(known, np.int32(1))
+            shares[row, column] = known / (CELL_PX * CELL_PX)
+
+
+@_fast_kernel
+def fit_quadrics(
+    images: Any, window: Any, least: Any, across: Any, moments: Any, work: Any, out: Any, seen: Any, growth: Any
+) -> None:
+    """Fit a quadratic about each cell in a window; write coefficients and the growth of the curvature's variance.
+
+    ``images`` (2, H, W) are the weight of each cell, and its depth times that; ``window`` (5, N) is the window of one
+    direction times powers of the way from its centre. ``out`` (6, H, W) and ``growth`` (H, W), the sum of the last
+    diagonal elements of the inverse that belong to xx and yy, receive nan where ``seen`` (H, W), the weight in the
+    window, is not above ``least``. ``across`` (8, H, W), ``moments`` (8, 5, W) and ``work`` (7, 6, W) are buffers: the
+    cells of a row are computed side by side. The normal equations are solved by Cholesky's method, with reciprocals on
+    the diagonal.
+    """
+    height, width = seen.shape
+    reach, cells = window.shape[1] // 2, range(width)
+    for part in range(8):  # five powers of x for the weight, three for the depth
+        power, image = (part, 0) if part < 5 else (part - 5, 1)
+        for v in range(height):
+            for u in cells:
+                across[part, v, u] = 0.0
+            for t in range(-reach, reach + 1):
+                source, target = images[image, v, max(t, 0) :], across[part, v, max(-t, 0) :]
+                for u in range(width - abs(t)):
+                    target[u] += window[power, reach + t] * source[u]
+    for v in range(height):
+        for part in range(8):
+            for power in range(5 - part if part < 5 else 8 - part):
+                for u in cells:
+                    moments[part, power, u] = 0.0
+                for t in range(max(-reach, -v), min(reach + 1, height - v)):
+                    for u in cells:
+                        moments[part, power, u] += window[power, reach + t] * across[part, v + t, u]
         for u in cells:
-            growth[v, u] = 0.0 if usable[v, u] else np.nan
+            seen[v, u] = moments[0, 0, u]
+            growth[v, u] = 0.0 if seen[v, u] > least else np.nan
         for i in range(6):
             for j in range(i + 1):
+                x, y = POWERS[i, 0] + POWERS[j, 0], POWERS[i, 1] + POWERS[j, 1]
                 for u in cells:
-                    work[i, j, u] = moments[places[i, j], v, u]
+                    work[i, j, u] = moments[x, y, u]
                 for k in range(j):
                     for u in cells:
                         work[i, j, u] -= work[i, k, u] * work[j, k, u]
                 if i == j:
                     for u in cells:
-                        good = work[i, i, u] > 1e-9 * moments[places[i, i], v, u]
+                        good = work[i, i, u] > 1e-9 * moments[x, y, u]
                         growth[v, u] = growth[v, u] if good else np.nan
-                        work[i, i, u] = np.sqrt(work[i, i, u] if good else 1.0)
+                        work[i, i, u] = 1.0 / np.sqrt(work[i, i, u] if good else 1.0)
                 else:
                     for u in cells:
-                        work[i, j, u] /= work[j, j, u]
+                        work[i, j, u] *= work[j, j, u]
         for column in range(3):  # the depth, and the unit vectors of xx and yy
             for i in range(6):
                 for u in cells:
-                    work[6, i, u] = right[i, v, u] if column == 0 else 1.0 if i == 1 + 2 * column else 0.0
+                    depth = moments[5 + POWERS[i, 0], POWERS[i, 1], u]
+                    work[6, i, u] = depth if column == 0 else 1.0 if i == 1 + 2 * column else 0.0
                 for k in range(i):
                     for u in cells:
                         work[6, i, u] -= work[i, k, u] * work[6, k, u]
                 for u in cells:
-                    work[6, i, u] /= work[i, i, u]
+                    work[6, i, u] *= work[i, i, u]
             for i in range(5, -1, -1):
                 for k in range(i + 1, 6):
                     for u in cells:
                         work[6, i, u] -= work[k, i, u] * work[6, k, u]
                 for u in cells:
-                    work[6, i, u] /= work[i, i, u]
+                    work[6, i, u] *= work[i, i, u]
             if column == 0:
                 for i in range(6):
                     for u in cells:
@@ -62,7 +112,7 @@ def solve_quadrics(moments: Any, places: Any, right: Any, usable: Any, work: Any
                     growth[v, u] += work[6, 1 + 2 * column, u]
 
 
-@kernel
+@_fast_kernel
 def bend_quadrics(fits: Any, x: Any, y: Any, du: Any, dv: Any, twice_mean: Any, largest: Any) -> None:
     """Write twice the mean and the larger principal curvature, (H, W), of surfaces of depth z on the rays (x, y, 1).
 
@@ -84,4 +134,39 @@ def bend_quadrics(fits: Any, x: Any, y: Any, du: Any, dv: Any, twice_mean: Any, 
             square = e * g - f * f
             mean = -(e * high - 2 * f * mid + g * low) / square / 2
             twice_mean[row, column] = 2 * mean
-            largest[row, column] = mean + np.sqrt(max(mean * mean - (low * high - mid * mid) / square, 0.0))
+            apart = mean * mean - (low * high - mid * mid) / square
+            largest[row, column] = mean + np.sqrt(apart if apart > 0 else 0.0)
+
+
+@_fast_kernel
+def add_triangles(points: Any, weight: Any, load: Any, out: Any) -> None:
+    """Add to ``out``, (3, 3), what `pressure.surface.balance` returns, over two triangles of each four cells.
+
+    ``points`` (H, W, 3) are nan where unknown; ``weight`` and ``load``, that times the pressure, are (H, W).
+    """
+    for v in range(weight.shape[0] - 1):
+        for u in range(weight.shape[1] - 1):
+            for half in range(2):
+                bv, bu, cv, cu = v + half, u + 1, v + 1, u + 1 - half
+                mean = (weight[v, u] + weight[bv, bu] + weight[cv, cu]) / 3
+                if not mean > 0:
+                    continue
+                ax, ay, az = points[v, u]
+                bx, by, bz = points[bv, bu]
+                cx, cy, cz = points[cv, cu]
+                x1, y1, z1, x2, y2, z2 = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+                nx, ny, nz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+                length = np.sqrt(nx * nx + ny * ny + nz * nz)
+                if not np.isfinite(length):
+                    continue
+                wb, wc = weight[bv, bu] - weight[v, u], weight[cv, cu] - weight[v, u]
+                # sum of each weight times the side opposite to it
+                px, py, pz = wc * x1 - wb * x2, wc * y1 - wb * y2, wc * z1 - wb * z2
+                loaded = (load[v, u] + load[bv, bu] + load[cv, cu]) / 3
+                for row, nth in ((0, mean), (2, loaded)):
+                    out[row, 0] += nth * nx / 2
+                    out[row, 1] += nth * ny / 2
+                    out[row, 2] += nth * nz / 2
+                out[1, 0] += (ny * pz - nz * py) / length / 2
+                out[1, 1] += (nz * px - nx * pz) / length / 2
+                out[1, 2] += (nx * py - ny * px) / length / 2

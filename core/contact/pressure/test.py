@@ -102,7 +102,8 @@ class PressureTest(ContactTest):
             self._touching = now.contact(preset.pressure)
             self._seen = NO_CANDIDATES
             if self._touching.any():
-                self._seen = pixels.candidates(frame, _BOTH_SHARE, self._place(rest))
+                within = None if pixels.rig.has_proximity else rest.grid.around(self._touching)
+                self._seen = pixels.candidates(frame, _BOTH_SHARE, within)
             places = pixels.tactile_pixels(self._seen.pixels, frame)
             inside = self._in_cells(self._touching, places)
             self._pressed, self._places = keep(self._seen, inside), places[inside]
@@ -116,42 +117,25 @@ class PressureTest(ContactTest):
         groups = self._touching, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
-    def _place(self, rest: _Rest) -> tuple[int, int, int, int] | None:
-        """Return left, top, right and bottom of the pixels around the contact; None where only depth tells them."""
-        if self.pixels.rig.has_proximity:
-            return None
-        from .surface import CELL_PX
-
-        found = (np.flatnonzero(self._touching.any(axis=axis)) for axis in (1, 0))
-        (top, bottom), (left, right) = (
-            (CELL_PX * (int(cells[0]) - 1) + side.start, CELL_PX * (int(cells[-1]) + 2) + side.start)
-            for cells, side in zip(found, rest.grid.pixels, strict=True)
-        )
-        return left, top, right, bottom
-
     def _in_cells(self, cells: BoolArray, places: IndexArray) -> BoolArray:
         """Return which flat tactile pixels lie in cells that are true."""
-        if not len(places):
-            return np.zeros(0, np.bool_)
         assert self._rest is not None
-        smooth = self._rest.grid.to_image(cells, self.pixels.rig.tactile.intrinsics.shape)
-        return np.asarray(smooth.reshape(-1)[places] > 0.5)
+        shape = self.pixels.rig.tactile.intrinsics.shape
+        smooth = self._rest.grid.to_image(255 * cells.view(np.uint8), shape, 0)
+        return np.asarray(smooth.reshape(-1)[places] > 127)
 
     def _cells_at(self, places: IndexArray) -> BoolArray:
         """Return the cells that hold one of these flat tactile pixels."""
-        import cv2
-
         assert self._rest is not None
-        image = np.zeros(self.pixels.rig.tactile.intrinsics.shape, np.uint8)
-        image.reshape(-1)[places] = 255
-        size = self._touching.shape[::-1]
-        return np.asarray(cv2.resize(image[self._rest.grid.pixels], size, interpolation=cv2.INTER_AREA) > 0)
+        held = np.zeros(self._touching.shape, np.bool_)
+        held[self._rest.grid.cells_of(places, self.pixels.rig.tactile.intrinsics.width)] = True
+        return held
 
     def _images(self, cells: Float64Array, contact: Candidates, frame: SensorFrame) -> dict[str, Lazy[Float32Array]]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
         assert self._rest is not None
         rig, grid = self.pixels.rig, self._rest.grid
-        on_membrane = Lazy(lambda: grid.to_image(cells, rig.tactile.intrinsics.shape))
+        on_membrane = Lazy(lambda: grid.to_image(cells.astype(np.float32), rig.tactile.intrinsics.shape, math.nan))
 
         def at(pixels: IndexArray) -> Float32Array:
             return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
@@ -197,7 +181,7 @@ class _Rest:
         seen = valid_depth(counts).any()
         if seen:
             self.grid: Grid = surface.Grid.of(lens, counts)
-            depth_m, share = surface.cells(counts[self.grid.pixels], self.unit_m, self.offset_m, self.grid.side[0])
+            depth_m, share = surface.cells(counts, self.unit_m, self.offset_m, self.grid)
             seen = (share > 0).any()
         if not seen:
             raise RigMismatchError(
@@ -205,7 +189,7 @@ class _Rest:
                 "capture it again"
             )
         distance_m = float(np.median(depth_m[share > 0]))
-        self.cell_m = surface.CELL_PX * distance_m / lens.fx
+        self.cell_m = distance_m * self.grid.side[0]
         self.noise_known = preset.noise is not None
         first = surface.fit(depth_m, share, _FINE_WINDOW)
         if preset.noise is not None:
@@ -245,8 +229,7 @@ class _Now:
         from . import surface
 
         self._rest = rest
-        counts = frame.tactile_depth[rest.grid.pixels]
-        self._depth_m, self._share = surface.cells(counts, rest.unit_m, rest.offset_m, rest.grid.side[0])
+        self._depth_m, self._share = surface.cells(frame.tactile_depth, rest.unit_m, rest.offset_m, rest.grid)
         self._shape = surface.fit(self._depth_m, self._share, rest.window)
         self.bulge_per_m = surface.curvature(self._shape, rest.grid)[0]
         self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(self._depth_m, self._share, _FINE_WINDOW, curved=False))
@@ -296,11 +279,9 @@ class _Now:
         flatness = 1 - 2 * largest / (self.grown * self._rest.usual_per_m)
         known = np.isfinite(flatness)
         size = (2 * math.ceil(2.5 * _EDGE_WINDOW) + 1,) * 2
-        total, weight = (
-            cv2.GaussianBlur(image, size, _EDGE_WINDOW, borderType=cv2.BORDER_CONSTANT)
-            for image in (np.where(known, np.clip(flatness, *_FLATNESS), 0.0), known.astype(np.float64))
-        )
-        return np.where(known, total / np.maximum(weight, 1e-9), np.nan)
+        both = np.stack([np.where(known, np.clip(flatness, *_FLATNESS), 0.0), known], axis=-1)
+        both = cv2.GaussianBlur(both, size, _EDGE_WINDOW, borderType=cv2.BORDER_CONSTANT)
+        return np.where(known, both[..., 0] / np.maximum(both[..., 1], 1e-9), np.nan)
 
     def facts(self, touching: BoolArray, preset: Preset, images: dict[str, Lazy[Float32Array]]) -> PressureFacts:
         """Return map and force, that of all contacts together, in the proximity depth frame."""
@@ -339,7 +320,7 @@ class _Now:
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
         return PressureFacts(
             **images,
-            relative_sigma=median(self._sigma) / self.grown if self.grown > 0 else math.nan,
+            relative_sigma=median(self._sigma[::2, ::2]) / self.grown if self.grown > 0 else math.nan,
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
             inflation_pa=section.gauge_pa,
@@ -360,26 +341,23 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
     """
     import cv2
 
-    known = np.isfinite(ratio) & np.isfinite(sigma)
-    nothing = np.full_like(ratio, np.nan)
-    if not known.any():
-        return 1.0, nothing, 1.0
+    some, some_sigma = ratio[::2, ::2], sigma[::2, ::2]  # windows of neighbours overlap, so every second cell tells all
+    known = np.isfinite(some) & np.isfinite(some_sigma)
     free, grown, scatter = known, 1.0, 1.0
-    for _ in range(4):
-        grown = median(ratio[free])
+    for _ in range(4 if known.any() else 0):
+        grown = median(some[free])
         with np.errstate(invalid="ignore", divide="ignore"):
-            away = (ratio - grown) / sigma
-        scatter = 1.48 * median(np.abs(away[free]))
-        with np.errstate(invalid="ignore"):
+            away = (some - grown) / some_sigma
+            scatter = 1.48 * median(np.abs(away[free]))
             # both ends are cut, lest the rest be one-sided; a contact is left out with what surrounds it
             pressed = known & (away < -_CUT * scatter)
             left = known & (np.abs(away) <= _CUT * scatter)
-        left &= cv2.dilate(pressed.view(np.uint8), np.ones((5, 5), np.uint8)) == 0
+        left &= cv2.dilate(pressed.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
         if np.count_nonzero(left) < 0.1 * np.count_nonzero(known):
             break
         free = left
     # without inflation nothing tells a contact pressure
-    return grown, np.asarray(1 - ratio / grown) if grown > 0 else nothing, scatter
+    return grown, 1 - ratio / grown if grown > 0 else np.full_like(ratio, np.nan), scatter
 
 
 def _parts_with(cells: BoolArray, seeds: BoolArray) -> BoolArray:

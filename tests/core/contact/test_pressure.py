@@ -55,12 +55,12 @@ def test_a_sphere_has_its_curvature_and_carries_no_force():
     rig = Rig.of_one_camera(simulator_rig().tactile)
     counts = bubble(rig, 0.2).tactile_depth
     grid = surface.Grid.of(rig.tactile.intrinsics, counts)
-    depth_m, share = surface.cells(counts, 1e-4, 0.0, grid.side[0])
+    depth_m, share = surface.cells(counts, 1e-4, 0.0, grid)
     bulge, largest = surface.curvature(surface.fit(depth_m, share, 2.0), grid)
     assert np.nanmedian(bulge) == pytest.approx(2 / 0.2, rel=0.01)
     assert np.nanmedian(largest) == pytest.approx(1 / 0.2, rel=0.02)
     assert np.nanstd(bulge) < 0.3
-    steep_m, all_of_it = surface.cells(bubble(rig, 0.12).tactile_depth, 1e-4, 0.0, grid.side[0])
+    steep_m, all_of_it = surface.cells(bubble(rig, 0.12).tactile_depth, 1e-4, 0.0, grid)
     steep = surface.curvature(surface.fit(steep_m, all_of_it, 2.0), grid)
     assert np.nanpercentile(steep, 95) == pytest.approx(2 / 0.12, rel=0.05), "where it slopes in both directions, too"
     rows, columns = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
@@ -81,7 +81,7 @@ def test_a_ball_in_a_membrane_of_constant_tension_has_the_force_and_contact_of_t
     assert np.sqrt(patch.area_mm2 / np.pi) == pytest.approx(1e3 * contact_m, abs=off_mm)
     # before any smoothing: the air on what lies inside of a ring, less the pull at the ring
     grid = surface.Grid.of(rig.tactile.intrinsics, now.tactile_depth)
-    depth_m, _ = surface.cells(now.tactile_depth[grid.pixels], 1e-4, 0.0, grid.side[0])
+    depth_m, _ = surface.cells(now.tactile_depth, 1e-4, 0.0, grid)
     weight = np.clip((0.07 - depth_m * np.hypot(grid.x, grid.y)) / 0.02, 0, 1)
     air, pull, _ = surface.balance(grid.points(depth_m), weight, np.zeros_like(weight))
     assert gauge_pa * (pull * radius_m / 2 - air) == pytest.approx((0, 0, -force_n), abs=0.02 * force_n)
