@@ -23,7 +23,7 @@ _LENS_TIP = (
     "A file (camera_info.yaml, Kalibr's camchain, OpenCV's YAML, K.txt), fx,fy,cx,cy in px, or L515, D405 or D435 for "
     "the maker's values, perhaps as D405=FILE. Empty: a file beside the images."
 )
-_LENS_FILES = "Lens files (*.yaml *.yml *.json *.xml *.txt)"
+LENS_FILES = "Lens files (*.yaml *.yml *.json *.xml *.txt)"
 _UNITS = ("", "mm", "0.0001", "0.00025", "1/5000")
 
 
@@ -86,7 +86,7 @@ class FolderRigDialog(QDialog):
             grid.addWidget(widget, row, column)
         field.textChanged.connect(self._look)
         take = partial(self._take, field)
-        choose.clicked.connect(lambda: self._dialogs.open_file("lens", "Open the file of a lens", _LENS_FILES, take))
+        choose.clicked.connect(lambda: self._dialogs.open_file("lens", "Open the file of a lens", LENS_FILES, take))
         return field
 
     def _take(self, field: QLineEdit, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, QSize, Qt
@@ -12,11 +13,11 @@ from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QGridLayout, QLabel, QPus
 from ...core.errors import as_sentence
 from ...core.sources.registry import images_without_rig, topics_to_choose
 from ...core.sources.ros.source import Inspection
-from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, wrapped_label
+from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
-from ...widgets.basics.layouts import STRETCH, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..worker.jobs import Job
-from .folder_rig import FolderRigDialog
+from .folder_rig import LENS_FILES, FolderRigDialog
 
 _SLOTS = {
     "proximity.depth": ("&Proximity depth", "The camera that looks through the membrane at the object"),
@@ -36,10 +37,13 @@ _PICTURE_SIZE, _ICON_SIZE = QSize(160, 120), QSize(48, 36)
 class TopicsDialog(QDialog):
     """Asks for the topic of each image; the guess is chosen already."""
 
-    def __init__(self, name: str, found: Inspection, parent: QWidget | None) -> None:
+    def __init__(self, name: str, found: Inspection, dialogs: Dialogs, parent: QWidget | None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Topics of the recording")
-        self._found = found
+        self._found, self._dialogs = found, dialogs.over(self)
+        self._lenses: dict[str, Path] = {}  # by slot, where the recording has none
+        self.lens = push_button("Lens &file…", "Choose the file of the lens that the recording lacks")
+        self.lens.clicked.connect(self._ask_lens)
         self.choices: dict[str, ChoiceBox] = {}
         self._pictures: dict[str, QLabel] = {}
         grid = QGridLayout()
@@ -51,7 +55,8 @@ class TopicsDialog(QDialog):
         guessed = "Guessed from names and types. Check the pictures."
         if found.gap:
             guessed = f"{as_sentence(found.gap)} Choose by the pictures."
-        vbox(wrapped_label(f"{name}\n{guessed}"), grid, self.note, STRETCH, self.buttons, within=self)
+        row = hbox((self.note, 1), self.lens)
+        vbox(wrapped_label(f"{name}\n{guessed}"), grid, row, STRETCH, self.buttons, within=self)
         self.buttons.accepted.connect(self.accept)
         self.buttons.rejected.connect(self.reject)
         self._show()
@@ -87,8 +92,22 @@ class TopicsDialog(QDialog):
 
     @property
     def topics(self) -> dict[str, str]:
-        """The topic of each image that has one."""
-        return {slot: box.currentData() for slot, box in self.choices.items() if box.currentData()}
+        """The topic of each image that has one, and the file of each lens that the recording lacks."""
+        chosen = {slot: box.currentData() for slot, box in self.choices.items() if box.currentData()}
+        return chosen | {slot: str(path) for slot, path in self._lenses.items() if slot in self._lacking(chosen)}
+
+    def _lacking(self, chosen: dict[str, str]) -> list[str]:
+        """Return the slots of the lenses that no topic states."""
+        without = {image.name for image in self._found.images if not image.info}
+        return [f"{role}.info" for role in ("proximity", "tactile") if chosen.get(f"{role}.depth") in without]
+
+    def _ask_lens(self) -> None:
+        [slot, *_] = [slot for slot in self._lacking(self.topics) if slot not in self._lenses]
+        self._dialogs.open_file("lens", "Open the file of a lens", LENS_FILES, partial(self._take_lens, slot))
+
+    def _take_lens(self, slot: str, path: Path) -> None:
+        self._lenses[slot] = path
+        self._show()
 
     def _show(self) -> None:
         for slot, picture in self._pictures.items():
@@ -100,6 +119,10 @@ class TopicsDialog(QDialog):
             problem = "Choose the depth of the tactile camera, which sees the membrane."
         elif depths[0] == depths[1]:
             problem = "One topic is chosen twice: choose another one for one camera."
+        without = [slot.partition(".")[0] for slot in self._lacking(self.topics) if slot not in self._lenses]
+        if without and not problem:
+            problem = f"The recording has no lens (camera_info) of the {without[0]} camera: choose a file of it."
+        self.lens.setVisible(bool(without))
         self.note.say(problem, error=True)
         if not problem and not depths[0]:
             self.note.say("Without proximity depth this is a rig with a tactile camera only.")
@@ -139,7 +162,7 @@ class TopicsControl(QObject):
         if found is None or not any(image.kind == "depth" for image in found.images):
             self._use(self._name)
             return
-        self._show(TopicsDialog(self._name, found, self._window))
+        self._show(TopicsDialog(self._name, found, self._dialogs, self._window))
 
     def _show(self, dialog: TopicsDialog | FolderRigDialog) -> None:
         self.dialog = dialog

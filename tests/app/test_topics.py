@@ -8,7 +8,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QDialogButtonBox
 
 from fakes import FakeSource
-from hands import LEFT, show_source
+from hands import LEFT, show_source, type_path
 from ros_maker import color, depth, make_recording
 from tactune.app.sources.folder_rig import FolderRigDialog
 from tactune.core.sources.ros.topics import load_topics, store_topics
@@ -78,6 +78,21 @@ def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
     store_topics(path, {"tactile.depth": "/nowhere"})
     window.open_source(str(path))
     qtbot.waitUntil(lambda: any("/nowhere" in each for each in window.messages.sentences()))
+
+
+def test_a_lens_that_the_recording_lacks_is_asked_for(window, qtbot, tmp_path):
+    path = make_recording(tmp_path / "take", [depth("/d405/depth/image_rect_raw", "b_optical", 390, info=None)])
+    (tmp_path / "K.txt").write_text("30 0 15.5 0 31 11.5 0 0 1")
+    window.open_source(str(path))
+    qtbot.waitUntil(lambda: window.topics.dialog is not None and window.topics.dialog.isVisible())
+    dialog = window.topics.dialog
+    assert not dialog.buttons.button(QDialogButtonBox.StandardButton.Open).isEnabled()
+    QTest.mouseClick(dialog.lens, LEFT)
+    type_path(qtbot, tmp_path / "K.txt")
+    qtbot.waitUntil(lambda: not dialog.lens.isVisible())
+    press(dialog, QDialogButtonBox.StandardButton.Open)
+    qtbot.waitUntil(lambda: opened(window, path))
+    assert window.result.source.rig.tactile.intrinsics.fy == 31
 
 
 def test_a_folder_of_images_without_a_rig_is_asked_for_lens_and_unit(window, qtbot, tmp_path):

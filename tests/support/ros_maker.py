@@ -35,6 +35,7 @@ class Stream:
     encoding: str = "16UC1"
     stamps_s: tuple[float, ...] = (0.0, 0.1, 0.2)
     late_s: float = 0.0
+    stamped: bool = True
     info: str | None = ""  # beside the images; None: no camera_info
     model: str = "plumb_bob"
     d: tuple[float, ...] = (0.0,) * 5
@@ -63,7 +64,7 @@ def make_recording(
 ) -> Path:
     """Write a recording and return its path: of ROS 2 the folder.
 
-    Kinds are ``mcap``, ``sqlite``, ``zstd`` (SQLite, messages compressed), ``file`` (MCAP, compressed whole), ``ros1``.
+    Kinds: ``mcap``, ``sqlite``, ``ros1``; with zstd ``messages`` (MCAP), ``sqlite messages``, ``file`` (MCAP, whole).
     """
     ros1 = kind == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -73,10 +74,10 @@ def make_recording(
     if ros1:
         writer: Any = Writer1(path)
     else:
-        plugin = StoragePlugin.MCAP if kind in ("mcap", "file") else StoragePlugin.SQLITE3
+        plugin = StoragePlugin.SQLITE3 if kind.startswith("sqlite") else StoragePlugin.MCAP
         writer = Writer(path, version=9, storage_plugin=plugin)
-        if kind in ("zstd", "file"):
-            mode = CompressionMode.MESSAGE if kind == "zstd" else CompressionMode.FILE
+        if kind.endswith("messages") or kind == "file":
+            mode = CompressionMode.FILE if kind == "file" else CompressionMode.MESSAGE
             writer.set_compression(mode, CompressionFormat.ZSTD)
     messages: list[tuple[float, str, str, Any]] = []
     if transforms:
@@ -86,7 +87,7 @@ def make_recording(
         kind_name = "CompressedImage" if isinstance(stream.images[0], bytes) else "Image"
         for n, (stamp_s, image) in enumerate(zip(stream.stamps_s, stream.images, strict=True)):
             at = stamp_s + stream.late_s
-            header = maker.header(start_s + stamp_s, stream.frame)
+            header = maker.header(start_s + stamp_s if stream.stamped else 0, stream.frame)
             messages.append((at, stream.topic, f"sensor_msgs/msg/{kind_name}", maker.image(header, stream, image)))
             if stream.info is not None:
                 info = maker.info(header, stream, empty=n < stream.empty_infos)

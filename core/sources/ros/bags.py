@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import sqlite3
 import struct
-import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
@@ -29,23 +28,14 @@ from ...model.arrays import Int64Array
 from ..base import Progress, part_of
 from ..ros_image import DamagedFileError, damage_told
 from .mcap import MAGIC, McapBag
-from .messages import Bag, long_name
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
+from .messages import Bag, long_name, unpack_file, unpacked
 
 METADATA: Final = "metadata.yaml"
 #: Endings of the files in a folder of ``ros2 bag record``.
 BAG_ENDINGS: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 ROS1_MAGIC: Final = b"#ROSBAG V"
-_BLOCK_BYTES: Final = 1 << 20
-_ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _CACHED_CHUNKS: Final = 4
-#: A message unpacks to at most the first number of bytes, a file to that and the second number for each of its bytes.
-_MAX_UNPACKED_BYTES, _MAX_RATIO = 200_000_000, 200
 
 
 class SqliteBag(Bag):
@@ -77,14 +67,7 @@ class SqliteBag(Bag):
         found = self._select("SELECT data FROM messages WHERE id = ?", self._rows[topic][index][1])
         if not found or not isinstance(found[0][0], bytes):
             raise DamagedFileError(f"message {index} of {topic} is missing")
-        data = found[0][0]
-        if not data.startswith(_ZSTD_MAGIC):
-            return memoryview(data)
-        unpacker = zstd.ZstdDecompressor()
-        plain = unpacker.decompress(data, _MAX_UNPACKED_BYTES)
-        if not unpacker.eof:
-            raise DamagedFileError(f"message {index} of {topic} is cut off, or unpacks to far too much")
-        return memoryview(plain)
+        return unpacked(memoryview(found[0][0]))
 
     def times_ns(self, topic: str) -> Int64Array:
         return np.array([time_ns for time_ns, _ in self._rows.get(topic, ())], np.int64)
@@ -255,13 +238,7 @@ class SplitBag(Bag):
         if path.suffix != ".zstd":
             return path
         folder = Path(self._resources.enter_context(tempfile.TemporaryDirectory(prefix="tactune-")))
-        with zstd.open(path, "rb") as packed, (folder / path.stem).open("wb") as plain:
-            left = _MAX_UNPACKED_BYTES + _MAX_RATIO * path.stat().st_size
-            while block := packed.read(_BLOCK_BYTES):
-                left -= len(block)
-                if left < 0:
-                    raise DamagedFileError(f"{path.name} unpacks to far too much for its size")
-                plain.write(block)
+        unpack_file(path, folder / path.stem)
         return folder / path.stem
 
 

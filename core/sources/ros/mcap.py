@@ -29,7 +29,7 @@ from ...errors import SourceError, TactuneError
 from ...model.arrays import Int64Array, Uint64Array
 from ..base import Progress
 from ..ros_image import damage_told
-from .messages import Bag, long_name, stamp_ns
+from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpacked
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
@@ -75,7 +75,7 @@ class McapBag(Bag):
                 numbers[channel.topic].append(number)
                 self.kinds[channel.topic] = ("" if schema is None else schema.name, channel.message_encoding)
         self.types = {topic: long_name(kind) for topic, (kind, how) in self.kinds.items() if how in ("cdr", "ros1")}
-        #: Log time (ns), chunk and offset of each message of a topic, in the order of log time.
+        #: Log time (ns), chunk (0: outside chunks) and offset of each message of a topic, in the order of log time.
         self._tables = {topic: self._table(each) for topic, each in numbers.items()}
         self._places.clear()
 
@@ -95,19 +95,23 @@ class McapBag(Bag):
     def raw(self, topic: str, index: int) -> memoryview:
         with self._lock, damage_told(self.path, "it is damaged"):
             _, chunk, offset = map(int, self._tables[topic][index])
-            data = self._chunk_data(chunk)
+            if chunk:
+                data = self._chunk_data(chunk)
+            else:
+                (length,) = struct.unpack("<Q", self._read(offset + 1, 8))
+                data, offset = memoryview(self._read(offset, 9 + length)), 0
             opcode, length = struct.unpack_from("<BQ", data, offset)
             if opcode != Opcode.MESSAGE or not 22 <= length <= len(data) - offset - 9:
                 raise ValueError("its index points nowhere")
-            return data[offset + 31 : offset + 9 + length]
+            return unpacked(data[offset + 31 : offset + 9 + length])
 
     def stamp_ns(self, topic: str, index: int) -> int:
-        """Return the stamp; of a chunk that is not compressed, nothing else is read."""
+        """Return the stamp; where nothing is compressed, nothing else is read."""
         with self._lock, damage_told(self.path, "it is damaged"):
             _, chunk, offset = map(int, self._tables[topic][index])
-            if self._read(chunk + 28, 4) == b"\0\0\0\0":  # the length of the compression's name
-                head = self._read(chunk + 40 + offset, 43)
-                if head[0] == Opcode.MESSAGE:
+            if not chunk or self._read(chunk + 28, 4) == b"\0\0\0\0":  # the length of the compression's name
+                head = self._read((chunk + 40 if chunk else 0) + offset, 43)
+                if head[0] == Opcode.MESSAGE and head[31:35] != ZSTD_MAGIC:
                     return stamp_ns(head[31:], is_ros1=self.is_ros1(topic))
         return super().stamp_ns(topic, index)
 
@@ -152,8 +156,9 @@ class McapBag(Bag):
                     self.metadata[found.name] = found.metadata
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declare(opcode, self._read(start, length))
-                elif opcode == Opcode.MESSAGE and not chunks and not chunk:
-                    raise SourceError(f"{self.path} has messages outside chunks; write it again with mcap compress")
+                elif opcode == Opcode.MESSAGE:  # a recorder that is in a hurry writes no chunks
+                    channel, log_time_ns = struct.unpack("<H4xQ", self._read(start, 14))
+                    self._add_place(channel, log_time_ns, 0, start - 9)
         except (TactuneError, OSError):  # cancelled, or the disk fails
             raise
         except Exception:  # the library and its decompressors raise a dozen kinds; what comes before plays

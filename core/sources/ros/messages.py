@@ -12,6 +12,7 @@ A lens model that ROS does not know (librealsense's inverse and modified Brown-C
 from __future__ import annotations
 
 import struct
+import sys
 from abc import ABC, abstractmethod
 from enum import StrEnum
 from functools import cache
@@ -24,6 +25,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array
 from ..base import Progress
+from ..ros_image import DamagedFileError
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 #: Names of the metadata record and the attachments inside a recording.
 METADATA_NAME: Final = "tactune"
@@ -93,14 +100,45 @@ def parse(data: bytes | memoryview, message_type: str, origin: Path) -> Any:
 
 
 def matrix_of(transform: Any) -> Float64Array:
-    """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised."""
+    """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised; of one that is all 0, nan."""
     from scipy.spatial.transform import Rotation  # slow to import
 
     q, t = transform.rotation, transform.translation
     matrix = np.eye(4)
+    if not any((q.x, q.y, q.z, q.w)):
+        return np.full((4, 4), np.nan)
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     matrix[:3, 3] = t.x, t.y, t.z
     return matrix
+
+
+#: What ``ros2 bag record --compression-mode`` writes begins so: a message in any container, or a whole file.
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+#: A message unpacks to at most the first number of bytes, a file to that and the second number for each of its bytes.
+_MAX_UNPACKED_BYTES, _MAX_RATIO = 200_000_000, 200
+_BLOCK_BYTES: Final = 1 << 20
+
+
+def unpacked(data: memoryview) -> memoryview:
+    """Return the bytes of a message, decompressed if they are compressed."""
+    if bytes(data[:4]) != ZSTD_MAGIC:
+        return data
+    unpacker = zstd.ZstdDecompressor()
+    plain = unpacker.decompress(data, _MAX_UNPACKED_BYTES)
+    if not unpacker.eof:
+        raise DamagedFileError("a message is cut off, or unpacks to far too much")
+    return memoryview(plain)
+
+
+def unpack_file(path: Path, target: Path) -> None:
+    """Decompress a file as a whole."""
+    with zstd.open(path, "rb") as packed, target.open("wb") as plain:
+        left = _MAX_UNPACKED_BYTES + _MAX_RATIO * path.stat().st_size
+        while block := packed.read(_BLOCK_BYTES):
+            left -= len(block)
+            if left < 0:
+                raise DamagedFileError(f"{path.name} unpacks to far too much for its size")
+            plain.write(block)
 
 
 #: Message types of poses. The library knows those of ROS 2 only.

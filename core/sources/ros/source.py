@@ -18,7 +18,7 @@ from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ..base import Progress
 from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
-from ..lens import Lens, camera_info_lens
+from ..lens import Lens, camera_info_lens, choose_lens, read_lenses
 from ..recorded import RecordedCamera, RecordedSource
 from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told
 from .bags import open_bag
@@ -66,7 +66,7 @@ class Frames:
                     names = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
                     poses.setdefault(names, []).append(matrix_of(each.transform))
         for (parent, child), found in poses.items():
-            if np.ptp(np.array(found), axis=0).max() <= _FIXED:
+            if np.ptp(np.array(found), axis=0).max() <= _FIXED:  # what is not filled in is nan, and no pose
                 self._edges.setdefault(parent, {})[child] = found[0]
                 self._edges.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(found[0]), np.float64)
 
@@ -201,13 +201,8 @@ class RosSource(RecordedSource):
         image = self._image_topic(f"{role}.depth", topics[f"{role}.depth"])
         if image.kind != "depth":
             raise SourceError(f"{self._path}: {image} has no depth; choose another as {role}.depth")
-        lens_topic = topics.get(f"{role}.info", image.info)
-        if lens_topic not in self._bag.types:
-            raise SourceError(
-                f"{self._path}: the lens of {image.name} is missing (a topic camera_info); name it with "
-                f"--topics {role}.info=/topic"
-            )
-        lens, times_s = self._lens(image, lens_topic), self._stamps_s(image.name)
+        lens = self._depth_lens(role, image, topics.get(f"{role}.info", image.info))
+        times_s = self._stamps_s(image.name)
         calibration = Calibration(
             DepthCamera(
                 model=foreign(image.camera.replace("/", " ") or role, 80),
@@ -228,6 +223,19 @@ class RosSource(RecordedSource):
         depth = partial(self._read, image, lens)
         return RecordedCamera(self._path, calibration, 1 / period_s(times_s), times_s, depth, color, partners)
 
+    def _depth_lens(self, role: str, image: ImageTopic, stated: str) -> Lens:
+        """Return the lens that a topic or a file states."""
+        if stated not in self._bag.types and Path(stated).is_file():
+            size = image.width, image.height
+            return choose_lens(read_lenses(Path(stated)), role, size).lens(size)
+        try:
+            return self._lens(image, stated)
+        except _GapError as gap:
+            raise SourceError(
+                f"{self._path}: {gap}; name another topic or a file of the lens: "
+                f"--topics {role}.info=/topic or {role}.info=lens.yaml"
+            ) from gap
+
     def _color(self, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
         """Return the lens of a camera's colour and the pose of its depth in it."""
         pose = self._poses.pose(color.frame, depth.frame)
@@ -235,11 +243,9 @@ class RosSource(RecordedSource):
             raise _GapError(
                 f"no fixed transform joins its frame {color.frame!r} to the frame of the depth, {depth.frame!r}"
             )
-        if color.info:
-            return self._lens(color, color.info), pose
-        if color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
+        if not color.info and color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
             return lens, pose  # aligned to the depth
-        raise _GapError(f"{color.name} has no camera_info, so its lens is unknown")
+        return self._lens(color, color.info), pose
 
     def _partners(self, role: str, times_s: Float64Array, topic: str) -> IndexArray:
         """Return the colour image of each depth image, or -1."""
@@ -258,21 +264,25 @@ class RosSource(RecordedSource):
 
     def _lens(self, image: ImageTopic, topic: str) -> Lens:
         """Return the lens of the first message that is filled in."""
-        try:
-            for index in range(min(self._bag.count(topic), _TRIED_INFOS)):
-                info, size = self._bag.message(topic, index), (image.width, image.height)
+        for index in range(min(self._bag.count(topic), _TRIED_INFOS)):
+            info, size = self._bag.message(topic, index), (image.width, image.height)
+            try:
                 lens = camera_info_lens(info, size, is_rectified=image.is_rectified)
-                if lens is not None:
-                    return lens
-        except SourceError as error:
-            raise SourceError(f"{self._path}: {image.name}: {error}") from error
-        raise SourceError(f"{self._path}: {topic} states no lens: all its numbers are 0; name another topic")
+            except SourceError as error:
+                raise _GapError(f"{image.name}: {error}") from error
+            if lens is not None:
+                return lens
+        if self._bag.count(topic):
+            raise _GapError(f"all numbers of {topic} are 0")
+        lack = f"neither a topic nor a file {foreign(topic)}" if topic else "no camera_info"
+        raise _GapError(f"the lens of {image.name} is unknown: there is {lack}")
 
     def _stamps_s(self, topic: str) -> Float64Array:
         stamps_s = self._bag.stamps_s(topic, self._progress)
-        if len(stamps_s) and not stamps_s.any():
-            raise SourceError(f"{self._path}: the images on {topic} have no time stamps in their headers")
-        return stamps_s
+        if stamps_s.any():
+            return stamps_s
+        self._lacks.append(f"the images on {topic} have no time stamps in their headers: the recorder's are used")
+        return np.asarray(self._bag.times_ns(topic) * 1e-9, np.float64)
 
     def _read(self, topic: ImageTopic, lens: Lens, index: int) -> AnyArray:
         """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3)."""

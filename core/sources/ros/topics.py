@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Final, Literal
 
 from ...errors import ExportError, SourceError, counted, foreign
-from ...model.files import atomic_path
+from ...model.files import atomic_path, user_path
 from ...model.loading import read_json
 from ..base import split_topics
 from ..ros_image import DamagedFileError, RawImage
 from .messages import CAMERA_INFO, IMAGE, Bag
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
-#: What a person may name, as in ``proximity.depth=/camera/depth/image_rect_raw``.
+#: What a person may name, as in ``proximity.depth=/camera/depth/image_rect_raw``; ``info`` may be a lens file, too.
 SLOTS: Final = tuple(f"{role}.{what}" for role in ("proximity", "tactile") for what in ("depth", "color", "info"))
 
 #: Parts of a name that say which stream of a camera it is. What is left names the camera.
@@ -199,12 +199,13 @@ def parse_topics(text: str) -> Topics:
     topics: Topics = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         slot, _, topic = (word.strip() for word in part.partition("="))
-        if slot not in SLOTS or not topic.startswith("/"):
+        is_file = slot.endswith(".info") and topic and not topic.startswith("/")
+        if slot not in SLOTS or not (topic.startswith("/") or is_file):
             raise SourceError(
                 f"the topics say {foreign(part)!r}; write proximity.depth=/a/topic, with commas between; "
                 f"known are {', '.join(SLOTS)}"
             )
-        topics[slot] = topic
+        topics[slot] = str(user_path(topic).resolve()) if is_file else topic  # it is kept for other folders, too
     return topics
 
 

@@ -52,6 +52,7 @@ def rewrite(ours, target, without=(), late=False, **options):
         {},
         {"compression": CompressionType.LZ4, "chunk_size": 200},
         {"compression": CompressionType.NONE},
+        {"use_chunking": False},
         {"index_types": IndexType.NONE},
         {"index_types": IndexType.CHUNK},
         {"use_statistics": False, "repeat_channels": False},

@@ -1,5 +1,7 @@
 """Recordings of other programs: containers, topics, encodings, lenses, transforms and pairing, each against NumPy."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -32,7 +34,8 @@ def file_in(folder):
         ("mcap", lambda path: path / "metadata.yaml"),
         ("sqlite", lambda path: path),
         ("sqlite", file_in),
-        ("zstd", lambda path: path),
+        ("messages", lambda path: path),
+        ("sqlite messages", lambda path: path),
         ("file", lambda path: path),
         ("ros1", lambda path: path),
     ],
@@ -333,3 +336,38 @@ def test_depth_compressed_as_rvl(tmp_path, hole):
     near = depth(topic, "a_optical", images=[rvl(image)] * 3, encoding=how, info=info)
     _, frame, _ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
     np.testing.assert_array_equal(frame.proximity_depth, image)
+
+
+@pytest.mark.parametrize("empty_infos", [0, 3])
+def test_a_lens_that_no_topic_states_comes_from_a_file_and_is_kept(tmp_path, monkeypatch, empty_infos):
+    lacking = {"empty_infos": empty_infos} if empty_infos else {"info": None}
+    touch = depth(TOUCH, "b_optical", 390, **lacking)
+    path = make_recording(tmp_path / "take", [TWO[0], touch])
+    with pytest.raises(SourceError, match=r"tactile\.info=lens\.yaml"):
+        open_source(str(path))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "K.txt").write_text("31 0 15 0 32 11 0 0 1")
+    with pytest.raises(SourceError, match=r"there is neither a topic nor a file .*/X\.txt"):
+        open_source(f"{path}?tactile.info=X.txt")
+    for name in (f"{path}?tactile.info=K.txt", str(path)):
+        rig, frame, _ = first_frame(name)
+        lens = rig.tactile.intrinsics
+        assert (lens.fx, lens.fy, lens.cx, lens.cy) == (31, 32, 15, 11) and rig.proximity.intrinsics.fx == 30
+        assert frame.tactile_depth[0, 0] == 390
+
+
+def test_a_colour_whose_lens_is_empty_is_left_out_and_images_without_stamps_have_the_recorders(tmp_path):
+    colour = color("/l515/color/image_raw", "c_optical", empty_infos=3)
+    rig, _, health = first_frame(make_recording(tmp_path / "take", [*TWO[:2], colour]))
+    assert rig.proximity_color is None and "colour is left out" in health.message
+    path = make_recording(tmp_path / "bare", [replace(stream, stamped=False) for stream in TWO])
+    with open_source(str(path)) as source:
+        assert [frame.proximity_time_s for frame in source] == pytest.approx([1000, 1000.1, 1000.2])
+        assert "no time stamps" in source.health().message
+
+
+def test_a_transform_that_is_not_filled_in_is_no_pose(tmp_path):
+    rig, _, health = first_frame(
+        make_recording(tmp_path / "take", TWO, (("a_optical", "b_optical", (1, 0, 0), (0.0,) * 4),))
+    )
+    assert rig.T_proximity_tactile is None and not health.ok
