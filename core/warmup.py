@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from .contact.kernels.chain import classify_rows, find_candidates
+from .contact.kernels.chain import find_candidates
 from .contact.kernels.colors import color_lookup
 from .contact.kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
 from .contact.kernels.membrane import add_to_means, collect_points, find_differences
@@ -27,7 +27,7 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, those of the mask in the untouched frame included; of the average.
-_KERNELS: Final = {"tolerance": 12, "membrane": 15, "pressure": 9}
+_KERNELS: Final = {"tolerance": 10, "membrane": 13, "pressure": 8}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
 _LARGEST: Final[dict[str, tuple[Any, ...]]] = {
@@ -35,7 +35,7 @@ _LARGEST: Final[dict[str, tuple[Any, ...]]] = {
     "membrane": (find_differences, collect_points),
     "pressure": (fit_quadrics, bend_quadrics),
 }
-_ALL: Final = (*sum(_LARGEST.values(), ()), search_rows, add_to_means, classify_rows, color_lookup)
+_ALL: Final = (*sum(_LARGEST.values(), ()), search_rows, add_to_means, color_lookup)
 
 
 def is_compiled(preset: Preset | None = None) -> bool:

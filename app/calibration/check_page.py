@@ -9,7 +9,6 @@ from PyQt6.QtWidgets import QButtonGroup, QLabel, QSlider, QWidget
 from ...core.calibration.check import compare_alignments
 from ...core.calibration.geometry import Alignment
 from ...core.calibration.report import CalibrationReport
-from ...core.contact.checks import rig_in_use
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
 from ...widgets.basics.controls import caption, choice_button, wrapped_label
@@ -81,7 +80,7 @@ class CheckPage(QWidget):
             self._show_none("Take a snapshot to compare the images")
         elif (snapshot, wanted) != self._drawn:
             self._drawn = (snapshot, wanted)
-            self.job.start(lambda _: overlay_by(wanted, rig_in_use(preset, self._session.rig), snapshot.frame))
+            self.job.start(lambda _: overlay_by(wanted, self._session.rig, snapshot.frame))
 
     def _show_overlay(self, overlay: Overlay) -> None:
         self._overlay = overlay

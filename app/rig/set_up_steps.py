@@ -11,7 +11,6 @@ from PyQt6.QtWidgets import QPushButton
 
 from ...core.calibration.check import is_worse
 from ...core.calibration.report import CalibrationReport, grade
-from ...core.contact.checks import rig_in_use
 from ...core.errors import CalibrationError
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import SensorFrame
@@ -81,7 +80,7 @@ class AlignmentStep(Gather):
         preset = self._document.preset
 
         def align(progress: Progress) -> tuple[CalibrationReport, bool, dict[str, Any]]:
-            rig = rig_in_use(preset, info.rig)
+            rig = info.rig
             snapshot = take_snapshot(kept[: self.wanted], 1, info)
             pairs, _ = find_pairs(Choices(), [snapshot], rig, progress)
             progress(0.9, "Fitting")

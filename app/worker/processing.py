@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-from ...core.contact.checks import rig_in_use
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import TactuneError
 from ...core.model.frames import Rig, SensorFrame
@@ -208,6 +207,5 @@ class FrameProcessor:
         return ComparedFrame(a, b, patch_overlap(a.patch, b.patch))
 
     def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
-        rig = rig_in_use(finder.preset, rig)
         rendered = self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)
         return replace(rendered, no_contact=finder.waiting) if finder.waiting else rendered

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..contact.checks import rig_in_use
 from ..errors import CalibrationError, RigMismatchError, minus
 from ..model.alignment import PointPair
 from ..model.arrays import Float64Array
@@ -47,7 +46,6 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
         raise CalibrationError(
             f"frame {frame.sequence} has no tactile colour image to compare; use a source that has one"
         )
-    rig = rig_in_use(preset, rig)
     alignment = Alignment.of_preset(preset.alignment, rig)
     pose = _pose(preset.alignment, rig)
     record = preset.alignment.calibration

@@ -27,30 +27,6 @@ def homography_notes(preset: Preset) -> list[str]:
     return [f"Preset {preset.name!r} {note}"] if note and preset.alignment.model == "homography" else []
 
 
-def rig_in_use(preset: Preset, rig: Rig) -> Rig:
-    """Return the present rig with lenses of the preset's calibration where it has no distortion itself."""
-    made_for = preset.rig
-    if made_for is None or not any(lens.has_distortion for lens in made_for.lenses()):
-        return rig
-
-    def bent(before: Intrinsics, now: Intrinsics, camera_before: DepthCamera, camera_now: DepthCamera) -> Intrinsics:
-        if now.has_distortion or not before.has_distortion or not _same_camera(camera_before, camera_now):
-            return now
-        found = now.model_copy(update={"distortion": before.distortion, "coefficients": before.coefficients})
-        return now if _lens_difference(before, found) else found
-
-    tactile, proximity = (
-        bent(before.intrinsics, now.intrinsics, before, now)
-        for before, now in ((made_for.tactile, rig.tactile), (made_for.proximity, rig.proximity))
-    )
-    color = None
-    if made_for.proximity_color is not None and rig.proximity_color is not None:
-        lenses = made_for.proximity_color.intrinsics, rig.proximity_color.intrinsics
-        color = bent(*lenses, made_for.proximity, rig.proximity)
-    found = rig.with_lenses(tactile, proximity, color)
-    return rig if found == rig else found
-
-
 def _same_camera(made_for: DepthCamera, found: DepthCamera) -> bool:
     return made_for.serial == found.serial or not (made_for.serial and found.serial)
 
@@ -76,16 +52,10 @@ def check_test(preset: Preset, rig: Rig) -> None:
 
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
     """Return how the rig differs from the preset's; `RigMismatchError` if sizes do, or the region is outside."""
-    name, made_for, used = f"Preset {preset.name!r}", preset.rig, rig_in_use(preset, rig)
-    warnings = []
-    if used is not rig:
-        warnings.append(
-            f"{name} contains lens distortion that the source does not state; the preset's is used. "
-            "Calibrate again if the source removes distortion itself."
-        )
+    name, made_for, warnings = f"Preset {preset.name!r}", preset.rig, []
     if made_for is not None:
         for role in ("proximity", "tactile") if rig.has_proximity else ("tactile",):
-            before, now = getattr(made_for, role), getattr(used, role)
+            before, now = getattr(made_for, role), getattr(rig, role)
             if before.intrinsics.shape != now.intrinsics.shape:
                 raise RigMismatchError(
                     f"preset {preset.name!r} was made for {role} images of {_size(before)} pixels, this {role} camera "
@@ -100,7 +70,7 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
             if any(differences):
                 words = "; ".join(filter(None, differences))
                 warnings.append(f"{name} was made for another {role} camera ({words}); check the alignment.")
-        color, color_now = made_for.proximity_color, used.proximity_color  # they decide which colour a point gets
+        color, color_now = made_for.proximity_color, rig.proximity_color  # they decide which colour a point gets
         same_color = color is color_now
         if color is not None and color_now is not None:
             same_color = not _lens_difference(color.intrinsics, color_now.intrinsics)

@@ -8,9 +8,6 @@ import numpy as np
 
 from ..model.arrays import BoolArray, Uint8Array
 from ..model.sections import MaskSection
-from .kernels.chain import flat
-from .kernels.colors import colors_in_range, hsv_limits
-from .kernels.simd import LANES
 
 #: Most pixels on prints that are compared, and smallest share of the image that prints cover.
 _MAX_SAMPLES, _MIN_SHARE = 500, 0.005
@@ -23,10 +20,16 @@ _CHANGED, _FEWER_PRINTS, _MORE_PRINTS = 0.1, 0.7, 1.5
 
 def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
     """Return which RGB colours (..., 3) lie in the mask's range of OpenCV's HSV; a low hue above the high wraps."""
-    inside = np.empty(colors.shape[:-1], bool)
-    row = flat(colors, 3 * LANES).view()
-    row.flags.writeable = False  # as the images of frames are: for another type the kernel would be compiled again
-    colors_in_range(row, hsv_limits(section), inside.reshape(-1))
+    import cv2  # on demand: most presets have no mask
+
+    inside = np.zeros(colors.shape[:-1], bool)
+    if not colors.size:
+        return inside
+    hsv = cv2.cvtColor(colors.reshape(-1, *colors.shape[-2:]), cv2.COLOR_RGB2HSV)
+    low, high = section.hue
+    for hue in ((low, high),) if low <= high else ((low, 179), (0, high)):
+        ends = np.array([hue, section.saturation, section.value]).T
+        inside |= cv2.inRange(hsv, ends[0], ends[1]).reshape(inside.shape) > 0
     return inside
 
 
@@ -73,7 +76,7 @@ class Light:
         ratios = np.median(image.reshape(-1, 3)[self._places] / self._colors, axis=0)
         if not ((ratios > 0) & np.isfinite(ratios)).all() or (np.abs(ratios - 1) < _CHANGED).all():
             return image
-        import cv2  # on demand: the light is usually the same
+        import cv2
 
         raw = masked_share(image, self._mask)
         if raw > _FEWER_PRINTS * self.share:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch, Lazy
 from .alignment import make_alignment
-from .checks import check_rig, check_test, rig_in_use
+from .checks import check_rig, check_test
 from .contact_test import ContactTest, Steps
 from .doubt import Judge
 from .membrane.average import AveragedDepth
@@ -39,7 +39,7 @@ class ContactPipeline:
     ----------
     preset : Preset
     rig : Rig
-        The rig that records the frames; a lens distortion that the preset's calibration estimated is added to it.
+        The rig that records the frames.
     untouched : SensorFrame, optional
         The untouched membrane, for a contact test that compares with it, for the doubt about contact, and to find the
         prints again in other light.
@@ -54,7 +54,6 @@ class ContactPipeline:
     Attributes
     ----------
     rig : Rig
-        With the preset's lens distortion.
     preset : Preset
         The current one; change it with `update`.
     untouched : SensorFrame or None
@@ -67,13 +66,9 @@ class ContactPipeline:
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
         if untouched is not None:
             untouched.check_against(rig)
-        self._recording_rig, self.untouched, self.cameras_moved = rig, untouched, False
-        self._start(preset, rig_in_use(preset, rig))
-
-    def _start(self, preset: Preset, rig: Rig) -> None:
         check_test(preset, rig)
-        self.warnings, self._alignment = check_rig(preset, self._recording_rig), make_alignment(preset.alignment, rig)
-        self.rig, self.preset = rig, preset
+        self.warnings, self._alignment = check_rig(preset, rig), make_alignment(preset.alignment, rig)
+        self.rig, self.preset, self.untouched, self.cameras_moved = rig, preset, untouched, False
         self._workspace, self._memory = Workspace(rig), _Memory()
         self._average: AveragedDepth | None = None
         self._test_key: Any = None
@@ -87,14 +82,10 @@ class ContactPipeline:
         RigMismatchError
             As the constructor does; the old preset then stays in use.
         """
-        rig = rig_in_use(preset, self._recording_rig)
-        if rig != self.rig:  # other lenses: nothing computed so far can be kept
-            self._start(preset, rig)
-            return
-        check_test(preset, rig)
-        warnings = check_rig(preset, self._recording_rig)
+        check_test(preset, self.rig)
+        warnings = check_rig(preset, self.rig)
         if preset.alignment.geometry != self.preset.alignment.geometry:
-            self._alignment = make_alignment(preset.alignment, rig)
+            self._alignment = make_alignment(preset.alignment, self.rig)
         self.warnings, self.preset = warnings, preset
         self._use(preset)
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
-from ..model.clouds import ray_table
+from ..model.clouds import ray_table, valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
-from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates
+from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates, Provenance
 from ..model.sections import RegionSection
 from .alignment import AlignmentModel
 from .kernels import chain as kernels
@@ -96,13 +96,18 @@ class Pixels:
         self._rays = _ray_planes(rig.proximity.intrinsics)
         self._lookup = color_lookup_of(rig)
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
+        self._aligned: tuple[SensorFrame | None, AlignedDepth | None] = None, None  # the newest, for all who read it
         self.light: Light | None = None
         if untouched is not None and preset.mask.enabled and rig.has_proximity:
             self.light = Light(untouched.proximity_color, preset.mask)
 
     def aligned(self, frame: SensorFrame) -> AlignedDepth:
         """Return both depths for every pixel of the region; nan elsewhere."""
-        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
+        last, aligned = self._aligned
+        if aligned is None or last is not frame:
+            aligned = self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
+            self._aligned = frame, aligned
+        return aligned
 
     def test(self, tolerance: float = np.inf) -> kernels.PixelTest:
         """Return the test of single pixels, for kernels; with the default any two depths agree."""
@@ -151,10 +156,18 @@ class Pixels:
 
     def classify(self, frame: SensorFrame, tolerance: float = np.inf) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range and tolerance; those that agree have CONTACT."""
-        provenance = np.empty(frame.proximity_depth.shape, np.uint8)
-        images, test, verdicts = depth_images(frame), self.test(tolerance), provenance.reshape(-1)
-        in_parallel(partial(kernels.classify_rows, images, test, verdicts), len(provenance))
-        return provenance
+        counts, aligned, (left, top, right, bottom) = frame.proximity_depth, self.aligned(frame), self.region
+        depth_m = counts * np.float32(self.rig.proximity.depth_unit_m)
+        apart_m = aligned.expected_m - aligned.measured_m
+        passed = np.abs(apart_m) <= np.float32(tolerance) * np.abs(aligned.expected_m)
+        verdicts = np.where(passed, np.uint8(Provenance.CONTACT), np.uint8(Provenance.OUTSIDE_TOLERANCE))
+        verdicts[np.isnan(apart_m)] = Provenance.NO_TACTILE_DEPTH
+        verdicts[(depth_m < self.limits.nearest_m) | (depth_m > self.limits.farthest_m)] = Provenance.OUTSIDE_RANGE
+        outside = np.ones(counts.shape, np.bool_)
+        outside[top:bottom, left:right] = False
+        verdicts[outside] = Provenance.OUTSIDE_REGION
+        verdicts[~valid_depth(counts)] = Provenance.NO_PROXIMITY_DEPTH
+        return verdicts
 
 
 def depth_images(frame: SensorFrame) -> kernels.DepthImages:

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..contact.checks import rig_in_use
 from ..errors import CalibrationError, ExportError, TactuneError
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path
@@ -107,7 +106,7 @@ class PoseTracker:
     preset : Preset
         The preset of the patches: the rig's noise and the alignment.
     rig : Rig
-        The rig that takes the frames, unless the preset has one of its own.
+        The rig that takes the frames.
 
     Raises
     ------
@@ -124,7 +123,7 @@ class PoseTracker:
     def __init__(self, mesh: ObjectMesh, preset: Preset, rig: Rig) -> None:
         import_open3d()
         self.mesh = mesh
-        self._preset, self._rig = preset, rig_in_use(preset, rig)
+        self._preset, self._rig = preset, rig
         self._density_m4 = noise_density_m4(preset, rig)
         self._pose: Float64Array | None = None
         self._forget()

@@ -25,7 +25,6 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import erf
 
-from ..contact.checks import rig_in_use
 from ..model.arrays import Float32Array, Float64Array, IndexArray
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
@@ -92,7 +91,7 @@ class TiltEstimator:
     preset : Preset
         Its measured noise, if any; else that of usual cameras is assumed.
     rig : Rig
-        The rig that takes the frames, unless the preset has one of its own.
+        The rig that takes the frames.
 
     Examples
     --------
@@ -102,7 +101,6 @@ class TiltEstimator:
     """
 
     def __init__(self, preset: Preset, rig: Rig) -> None:
-        rig = rig_in_use(preset, rig)
         self._lens = rig.proximity.intrinsics
         self._proximity, self._tactile = _USUAL_PROXIMITY, _USUAL_TACTILE
         if preset.noise is not None:

@@ -25,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..contact.alignment import tactile_pose
+from ..contact.masking import in_hsv_range
 from ..contact.outliers.grid import Grid
 from ..contact.outliers.statistical import statistical_inliers
 from ..contact.pipeline import ContactPipeline
@@ -37,7 +38,7 @@ from ..model.metrics import pixel_scores, symmetric_rmse_m
 from ..preset import Preset
 from ..sources.base import Progress
 from ..sources.presets import load_preset
-from .reference import Reference, membrane_colored, open3d_inliers
+from .reference import Reference, open3d_inliers
 from .table import aligned
 
 Found = tuple[AnyArray, Callable[[], IndexArray]]
@@ -171,7 +172,7 @@ def open3d_engine(scene: BenchScene) -> Run:
         )
 
     def bare(points: AnyArray) -> BoolArray:
-        colored = membrane_colored(frame.proximity_color, preset.mask)
+        colored = in_hsv_range(frame.proximity_color, preset.mask)
         T = np.eye(4) if color is None else np.asarray(color.T_color_depth)
         row, column, inside = nearest_pixels(
             points @ T[:3, :3].T + T[:3, 3], lens if color is None else color.intrinsics

@@ -15,12 +15,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..contact.alignment import tactile_homography, tactile_pose
+from ..contact.masking import in_hsv_range
 from ..model.arrays import AnyArray, BoolArray, IndexArray, Uint8Array, Uint16Array
 from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.patch import Provenance
-from ..preset import MaskSection, Preset
+from ..preset import Preset
 
 
 def inliers(points: AnyArray, k: int, ratio: float) -> BoolArray:
@@ -138,7 +139,7 @@ class Reference:
 
     def _on_membrane(self, image: Uint8Array, points: AnyArray, pixels: IndexArray) -> BoolArray:
         """Return which points have a known colour in the range of the mask, the bare membrane's."""
-        bare, camera = membrane_colored(image, self.preset.mask), self.rig.proximity_color
+        bare, camera = in_hsv_range(image, self.preset.mask), self.rig.proximity_color
         if camera is None:
             return bare.reshape(-1)[pixels]
         T = np.asarray(camera.T_color_depth, dtype=self.dtype)
@@ -157,17 +158,6 @@ class Reference:
         cluster = labels.reshape(-1)[pixels]
         areas_mm2 = np.bincount(cluster, weights=depth.astype(np.float64) ** 2 / (camera.fx * camera.fy)) * 1e6
         return np.asarray(areas_mm2[cluster] >= self.preset.outliers.min_cluster_area_mm2)
-
-
-def membrane_colored(image: Uint8Array, section: MaskSection) -> BoolArray:
-    """Return which pixels of an RGB image have the mask's colour, by OpenCV's inRange."""
-    hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
-    low, high = section.hue
-    (s_low, s_high), (v_low, v_high) = section.saturation, section.value
-    found = np.zeros(image.shape[:2], bool)
-    for h_low, h_high in [(low, high)] if low <= high else [(low, 179), (0, high)]:
-        found |= cv2.inRange(hsv, np.array([h_low, s_low, v_low]), np.array([h_high, s_high, v_high])) > 0
-    return found
 
 
 def _homography(H_p_t: AnyArray, rig: Rig) -> tuple[AnyArray, AnyArray, BoolArray]:

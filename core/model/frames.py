@@ -131,21 +131,6 @@ class Rig(_Frozen):
         camera = self.proximity_color.intrinsics if self.proximity_color else self.proximity.intrinsics
         return camera.shape
 
-    def lenses(self) -> tuple[Intrinsics, ...]:
-        """Return the lenses of both depth cameras, and of the colour camera if there is one."""
-        depth = self.proximity.intrinsics, self.tactile.intrinsics
-        return depth if self.proximity_color is None else (*depth, self.proximity_color.intrinsics)
-
-    def with_lenses(self, tactile: Intrinsics, proximity: Intrinsics, color: Intrinsics | None = None) -> Rig:
-        """Return the rig with other lenses; ``color`` has no effect without a colour camera."""
-        changes: dict[str, object] = {
-            "tactile": self.tactile.model_copy(update={"intrinsics": tactile}),
-            "proximity": self.proximity.model_copy(update={"intrinsics": proximity}),
-        }
-        if self.proximity_color is not None and color is not None:
-            changes["proximity_color"] = self.proximity_color.model_copy(update={"intrinsics": color})
-        return self.model_copy(update=changes)
-
 
 @dataclass(frozen=True)
 class TrueStrain:

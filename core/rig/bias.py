@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from ..contact.alignment import make_alignment
-from ..contact.checks import rig_in_use
 from ..contact.masking import in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
 from ..contact.pixels import colors_at, region_bounds
@@ -75,7 +74,6 @@ def depth_differences(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Flo
 
     Raises a `RigMismatchError` if neither preset nor rig has the pose between the cameras.
     """
-    rig = rig_in_use(preset, rig)
     bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
     aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
     return aligned.expected_m, aligned.expected_m - aligned.measured_m

@@ -19,7 +19,6 @@ from ..calibration.check import Drift, check_alignment
 from ..calibration.geometry import color_lens, named_sides
 from ..calibration.texture import tracked
 from ..contact.alignment import make_alignment
-from ..contact.checks import rig_in_use
 from ..contact.kernels.chain import Region
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError, TactuneError
@@ -84,7 +83,6 @@ class MembraneDrift:
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present membrane with the untouched frame; `CalibrationError` if too little is seen in both."""
-    rig = rig_in_use(preset, rig)
     for one in (frame, untouched):
         one.check_against(rig)
     change, x, y, before = _changes(frame.tactile_depth, untouched.tactile_depth, rig.tactile)

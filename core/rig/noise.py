@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 
-from ..contact.checks import rig_in_use
 from ..contact.membrane.steps import firm_contact_bias
 from ..errors import FrameError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array, spread
@@ -96,7 +95,7 @@ def measure_noise(
     RigMismatchError
         Neither preset nor rig has the pose between the cameras.
     """
-    report, rig = progress or (lambda share, words: None), rig_in_use(preset, rig)
+    report = progress or (lambda share, words: None)
     different = list({frame.sequence: frame for frame in frames}.values())
     if len(different) < MIN_FRAMES:
         raise FrameError(

@@ -13,7 +13,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ...model.arrays import AnyArray, Float32Array, Int32Array, Int64Array, Uint8Array, Uint16Array
-from ...model.patch import Provenance
 from .colors import lanes_in_range
 from .compiling import inline, kernel
 from .lenses import project_lanes
@@ -29,7 +28,6 @@ from .simd import (
     gather,
     gather_colors,
     greater,
-    int_scratch,
     ints,
     lane_numbers,
     lesser,
@@ -44,7 +42,6 @@ from .simd import (
 )
 
 _float_vector, _three_vectors = float_scratch(LANES), float_scratch(3 * LANES)
-_int_vector = int_scratch(LANES)
 
 #: Rows of an image tile; it is `LANES` columns wide.
 TILE_ROWS: Final = 8
@@ -57,11 +54,6 @@ _NAN = np.float32(np.nan)
 _NONE = np.int32(0)
 _SATURATED = np.int32(65535)
 _ALL_LANES = (1 << LANES) - 1
-
-_NO_PROXIMITY_DEPTH, _OUTSIDE_REGION, _OUTSIDE_RANGE, _NO_TACTILE_DEPTH, _OUTSIDE_TOLERANCE = map(
-    np.int32, list(Provenance)[: Provenance.MASKED]
-)
-_CONTACT = np.int32(Provenance.CONTACT)
 
 
 def flat(image: AnyArray, min_length: int = LANES) -> AnyArray:
@@ -317,34 +309,6 @@ def align_rows(images: Any, alignment: Any, region: Any, expected: Any, measured
             start = v * width + u
             store_lanes(expected, start, width - u, where(has_dp, dp, floats(_NAN)), before, buffer)
             store_lanes(measured, start, width - u, where(has_dt, dt, floats(_NAN)), before, buffer)
-
-
-@kernel
-def classify_rows(images: Any, test: Any, provenance: Any, first: Any, last: Any) -> None:
-    """Write the verdict of a `PixelTest` (uint8, flat) for some rows of `DepthImages`; candidates get CONTACT."""
-    alignment, region, limits = test.alignment, test.region, test.limits
-    width, pixels = alignment.size.width, plane_size(alignment.size)
-    buffer = _int_vector()
-    for v in range(first, last):
-        row_in_region = v >= region.top and v < region.bottom
-        for u in range(0, width, LANES):
-            place, before = vector_place(v, u, width, pixels)
-            count = load(images.proximity, place)
-            depth = to_floats(count) * floats(alignment.proximity_unit_m)
-            column = lane_columns(u, before)
-            has_depth = is_depth(count)
-            in_region = within(column, region.left, region.right)
-            if not row_in_region:
-                in_region = column < ints(_NONE)
-            valid = has_depth & in_region & (column >= ints(np.int32(u)))
-            dp, has_dp, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
-            verdict = where(agree(dp, dt, limits.tolerance), ints(_CONTACT), ints(_OUTSIDE_TOLERANCE))
-            verdict = where(has_dp & has_dt, verdict, ints(_NO_TACTILE_DEPTH))
-            out_of_range = (depth < floats(limits.nearest_m)) | (depth > floats(limits.farthest_m))
-            verdict = where(out_of_range, ints(_OUTSIDE_RANGE), verdict)
-            verdict = where(in_region, verdict, ints(_OUTSIDE_REGION))
-            verdict = where(has_depth, verdict, ints(_NO_PROXIMITY_DEPTH))
-            store_lanes(provenance, v * width + u, width - u, verdict, before, buffer)
 
 
 @inline

@@ -11,14 +11,11 @@ from ...model.sections import MaskSection
 from .compiling import inline, kernel
 from .lenses import project
 from .simd import (
-    LANES,
-    bits,
     floats,
     floor,
     greater,
     ints,
     lesser,
-    load_colors,
     shift_right,
     to_floats,
     to_ints,
@@ -66,19 +63,6 @@ def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
     fits = (from_low & to_high) if limits[0] <= limits[1] else (from_low | to_high)
     fits = fits & (saturation >= ints(np.int32(limits[2]))) & (saturation <= ints(np.int32(limits[3])))
     return fits & (value >= ints(np.int32(limits[4]))) & (value <= ints(np.int32(limits[5])))
-
-
-@kernel
-def colors_in_range(image: Any, limits: Any, inside: Any) -> None:
-    """Write which of the first ``len(inside)`` colours (uint8, flat, at least `LANES` of them) lie in the range."""
-    count = inside.shape[0]
-    last = image.shape[0] // 3 - LANES
-    for start in range(0, count, LANES):
-        place = min(start, last)
-        red, green, blue = load_colors(image, place)
-        found = bits(lanes_in_range(red, green, blue, limits))
-        for i in range(start, min(start + LANES, count)):
-            inside[i] = (found >> (i - place)) & 1 == 1
 
 
 @kernel

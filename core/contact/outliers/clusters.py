@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, IndexArray
+from ...model.clouds import pixel_areas_m2
 from ...model.intrinsics import Intrinsics
 from ...model.patch import Candidates
 from ..kernels.compiling import kernel
-from ..kernels.threads import scratch
 
 
 def without_small_clusters(candidates: Candidates, camera: Intrinsics, min_area_mm2: float) -> Candidates:
@@ -24,12 +24,15 @@ def in_large_cluster(
     """Return which pixels (flat, ascending) with these depths belong to an 8-connected group of at least the area."""
     if min_area_mm2 <= 0 or len(depth_m) == 0:
         return np.ones(len(depth_m), bool)
-    large = np.empty(len(depth_m), np.bool_)
-    starts, parents = scratch("starts", len(depth_m) + 1, np.int64), scratch("parents", len(depth_m), np.int64)
-    areas = scratch("areas", len(depth_m), np.float64)
-    focal_product = intrinsics.fx * intrinsics.fy
-    _mark_large(pixels, depth_m, intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, large)
-    return large
+    import cv2  # on demand: importing the pipeline must not wait for it
+
+    width = intrinsics.width
+    top, bottom = int(pixels[0]) // width, int(pixels[-1]) // width + 1
+    image, places = np.zeros((bottom - top, width), np.uint8), pixels - top * width
+    image.reshape(-1)[places] = 1
+    groups = cv2.connectedComponents(image, connectivity=8)[1].reshape(-1)[places]
+    areas_mm2 = 1e6 * np.bincount(groups, pixel_areas_m2(depth_m, intrinsics))
+    return np.asarray((areas_mm2 >= min_area_mm2)[groups])
 
 
 def keep(candidates: Candidates, which: BoolArray) -> Candidates:
@@ -52,55 +55,3 @@ def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: 
             points_out[count, 1] = points[i, 1]
             points_out[count, 2] = points[i, 2]
             count += 1
-
-
-@kernel
-def _root(parents: Any, run: Any) -> Any:
-    while parents[run] != run:
-        parents[run] = parents[parents[run]]
-        run = parents[run]
-    return run
-
-
-@kernel
-def _mark_large(
-    pixels: Any, depths: Any, width: Any, focal_product: Any, min_area_mm2: Any, starts: Any, parents: Any,
-    areas: Any, large: Any
-) -> None:  # fmt: skip
-    """Join runs of neighbouring pixels to those that they touch in the row above; add up areas in pixel order."""
-    count = len(pixels)
-    runs = 0
-    for i in range(count):
-        if i == 0 or pixels[i] != pixels[i - 1] + 1 or pixels[i] % width == 0:
-            starts[runs] = i
-            runs += 1
-    starts[runs] = count
-
-    for run in range(runs):
-        parents[run] = run
-        areas[run] = 0.0
-    above = 0
-    for run in range(runs):
-        first = pixels[starts[run]]
-        last = pixels[starts[run + 1] - 1]
-        row = first // width
-        reach_left = max(first - 1, row * width) - width
-        reach_right = min(last + 1, row * width + width - 1) - width
-        while pixels[starts[above + 1] - 1] < reach_left:
-            above += 1
-        other = above
-        while other < run and pixels[starts[other]] <= reach_right:
-            a = _root(parents, run)
-            b = _root(parents, other)
-            parents[max(a, b)] = min(a, b)
-            other += 1
-
-    for run in range(runs):
-        parents[run] = _root(parents, run)
-        for i in range(starts[run], starts[run + 1]):
-            depth = np.float64(depths[i])
-            areas[parents[run]] += depth * depth / focal_product
-    for run in range(runs):
-        is_large = areas[parents[run]] * 1e6 >= min_area_mm2
-        for i in range(starts[run], starts[run + 1]):
-            large[i] = is_large

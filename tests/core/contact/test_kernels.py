@@ -17,7 +17,9 @@ from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import compiling
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import tile_grid
-from tactune.core.contact.kernels.simd import LANES
+from tactune.core.contact.kernels.colors import hsv_limits, lanes_in_range
+from tactune.core.contact.kernels.compiling import kernel
+from tactune.core.contact.kernels.simd import LANES, bits, load_colors
 from tactune.core.contact.masking import in_hsv_range
 from tactune.core.contact.pixels import Pixels, Workspace, depth_images
 from tactune.core.model.patch import Provenance
@@ -108,6 +110,19 @@ def test_every_colour_has_opencvs_hue_saturation_and_value():
         for channel, (floor, ceiling) in ((saturation, section.saturation), (value, section.value)):
             expected &= (floor <= channel) & (channel <= ceiling)
         assert np.array_equal(in_hsv_range(colors, section), expected)
+        inside = np.zeros(len(colors), bool)
+        lanes_in_range_of(colors.reshape(-1), hsv_limits(section), inside)
+        assert np.array_equal(inside, expected)
+
+
+@kernel
+def lanes_in_range_of(image, limits, inside):
+    for start in range(0, len(inside), LANES):
+        place = min(start, len(inside) - LANES)
+        red, green, blue = load_colors(image, place)
+        found = bits(lanes_in_range(red, green, blue, limits))
+        for lane in range(LANES):
+            inside[place + lane] = (found >> lane) & 1 == 1
 
 
 _PROGRAM = """

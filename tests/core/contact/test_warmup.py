@@ -29,10 +29,14 @@ def run(program, **environment):
 def test_kernels_are_kept_where_the_environment_says(tmp_path):
     program = """
 from tactune.core.contact.kernels.compiling import compiled_so_far, is_kept
-from tactune.core.contact.kernels.colors import colors_in_range
-from tactune.core.contact.masking import in_hsv_range
-print(is_compiled(), is_kept(colors_in_range))
-in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask)
+from tactune.core.contact.kernels.colors import color_lookup
+from tactune.core.contact.pixels import colors_at
+from tactune.core.model.frames import ColorCamera
+rig = tiny_rig()
+color = ColorCamera(intrinsics=rig.tactile.intrinsics, T_color_depth=np.eye(4))
+rig = rig.model_copy(update={"proximity_color": color})
+print(is_compiled(), is_kept(color_lookup))
+colors_at(np.ones((2, 3), np.float32), np.arange(2), np.zeros((*rig.tactile.intrinsics.shape, 3), np.uint8), rig)
 print(compiled_so_far())
 """
     first = run(program, NUMBA_CACHE_DIR=str(tmp_path))
