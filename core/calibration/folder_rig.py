@@ -32,13 +32,8 @@ _PLAUSIBLE_M: Final = (0.06, 5.0)
 _UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 #: Files beside the images that state their lens, the first that exists.
 _LENS_FILES: Final = (
-    "scene_camera.json",
-    "camera_info.yaml",
-    "camera_info.yml",
-    "camera.json",
-    "camera_intrinsic.json",
-    "K.txt",
-    "intrinsics.txt",
+    *("scene_camera.json", "camera_info.y*ml", "camera.json", "*intrinsic*.*", "K.txt", "*camchain*.y*ml"),
+    *("*calib*.y*ml", "*calib*.json", "*calib*.xml", "ost.yaml"),
 )
 #: Files that count as pictures.
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp")
@@ -91,6 +86,11 @@ class _Draft:
     #: The lens of each role that a file states, and all lenses of that file.
     stated: dict[str, tuple[StatedLens, list[StatedLens]]] = field(default_factory=dict)
 
+    def said(self, role: str) -> str:
+        """Return how a role is called: the only camera, whose files may say anything, is the tactile one."""
+        is_only = role == "proximity" and "tactile_depth" not in self.layout.slots
+        return "tactile" if is_only else "colour" if role == "color" else role
+
     def first(self, slot: str) -> Path:
         return next(frame.images[slot] for frame in self.layout.frames if slot in frame.images)
 
@@ -125,13 +125,13 @@ def describe_folder(
         image = read_values(draft.first(f"{role}_depth"))
         option = options.get(role) or (options.get("tactile") if len(roles) == 1 else None)
         found = _camera(draft, role, option, "depth", (image.shape[1], image.shape[0]))
-        check_lens(found.lens.intrinsics, f"{role} camera")
+        check_lens(found.lens.intrinsics, f"{draft.said(role)} camera")
         given = units.get(role) or (units.get("tactile") if len(roles) == 1 else None)
         unit_m, value = _unit(draft, role, found, given, image)
         try:
             camera = DepthCamera(model=found.model, intrinsics=found.lens.intrinsics, depth_unit_m=unit_m)
         except ValidationError as error:
-            raise SourceError(validation_sentence(error, str(folder), f"the {role} camera")) from error
+            raise SourceError(validation_sentence(error, str(folder), f"the {draft.said(role)} camera")) from error
         cameras[role], forms[role] = camera, found.form | value
     notes, warnings = draft.notes, draft.warnings
     if len(roles) == 1:
@@ -142,6 +142,9 @@ def describe_folder(
     if (color := _color(draft, options, rig.proximity.intrinsics)) is not None:
         seen = ColorCamera(intrinsics=color.lens.intrinsics, T_color_depth=color.T_color_depth)
         rig, forms["proximity_color"] = rig.model_copy(update={"proximity_color": seen}), color.form
+    if "tactile" in draft.stated and draft.stated.get("proximity") == draft.stated["tactile"]:
+        path = draft.stated["tactile"][0].path
+        warnings.append(f"both cameras have the lens in {path}; give each its own (--proximity, --tactile)")
     if (pose := _stated_pose(draft, "proximity", "tactile")) is None:
         warnings.append("the pose between the cameras is unknown: calibrate the alignment")
     return FolderRig(rig.model_copy(update={"T_proximity_tactile": pose}), forms, tuple(notes), tuple(warnings))
@@ -188,20 +191,20 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: Intrinsics) -> 
 
 def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple[int, int]) -> _Camera:
     """Return the model and the lens that an option says, or files beside the images."""
+    said = draft.said(role)
     if option is None:
-        beside = (draft.folder / role / name for name in _LENS_FILES), (draft.folder / name for name in _LENS_FILES)
-        path = None if role == "color" else next((path for each in beside for path in each if path.is_file()), None)
-        if path is None:
+        found = [] if role == "color" else _beside(draft, role)
+        if len(found) != 1:
+            several = f": {' and '.join(path.name for path in found[:2])} may state it" if found else ""
             raise CalibrationError(
-                f"the lens of the {role} camera is unknown; state it as a file (a camera_info.yaml, Kalibr's or "
-                f"OpenCV's file, K.txt), as fx,fy,cx,cy in px, or as {', '.join(MODELS)} for the maker's values "
-                f"(--{role})"
+                f"the lens of the {said} camera is unknown{several}; state it as a file (a camera_info.yaml, Kalibr's "
+                f"or OpenCV's file, K.txt), as fx,fy,cx,cy in px, or as {', '.join(MODELS)} for the maker's values "
+                f"(--{said})"
             )
-        option = str(path)
+        option = str(found[0])
     model, equals, how = option.partition("=")
     if not equals and option not in MODELS:
         model, how = "unknown", option
-    said = "colour" if role == "color" else role
     if not how:
         draft.warnings.append(
             f"the {kind} lens of the {model} is the maker's, not measured: positions to the side are wrong by a few "
@@ -220,6 +223,13 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
         )
         return _Camera(model, Lens(fit.intrinsics), {})
     return _of_file(draft, said, model, how, size)
+
+
+def _beside(draft: _Draft, role: str) -> list[Path]:
+    """Return the files of the best name in the nearest folder that holds the images of a camera."""
+    inside = draft.first(f"{role}_depth").relative_to(draft.folder).parents
+    places = [draft.folder / role, *(draft.folder / folder for folder in inside)]
+    return next((found for place in places for name in _LENS_FILES if (found := sorted(place.glob(name)))), [])
 
 
 def _of_file(draft: _Draft, role: str, model: str, how: str, size: tuple[int, int]) -> _Camera:
@@ -309,7 +319,7 @@ def _unit(
     draft: _Draft, role: str, camera: _Camera, given_m: float | None, image: AnyArray
 ) -> tuple[float, dict[str, float]]:
     """Return the length of a count and, for floating-point images, what a value stands for; say why."""
-    is_float = image.dtype.kind == "f"
+    said, is_float = draft.said(role), image.dtype.kind == "f"
     counts_per_m = draft.layout.counts_per_m
     assumed = False
     if given_m is not None:
@@ -324,32 +334,32 @@ def _unit(
         unit_m, why, assumed = MODELS[camera.model].depth_unit_m, f"that of the {camera.model}", True
     else:
         raise CalibrationError(
-            f"the unit of the {role} depth is unknown: {draft.first(f'{role}_depth').name} holds counts; state it "
-            f"as mm, or as metres per count such as {role}=0.00025 (--unit)"
+            f"the unit of the {said} depth is unknown: {draft.first(f'{role}_depth').name} holds counts; state it "
+            f"as mm, or as metres per count such as {said}=0.00025 (--unit)"
         )
     if not is_float and unit_m > MAX_UNIT_M:
         raise CalibrationError(
-            f"the unit says {unit_m:g} m for {role}, whose images hold whole counts; a count is at most "
+            f"the unit says {unit_m:g} m for {said}, whose images hold whole counts; a count is at most "
             f"{MAX_UNIT_M * 1e3:g} mm, such as mm (--unit)"
         )
     known = (image > 0) if is_float else valid_depth(image)
     half_m = float(np.median(image[known])) * unit_m if known.any() else float("nan")
-    draft.notes.append(f"{role}: depth unit {unit_m * 1e3:g} mm ({why}); half of the depths are below {half_m:.3f} m")
+    draft.notes.append(f"{said}: depth unit {unit_m * 1e3:g} mm ({why}); half of the depths are below {half_m:.3f} m")
     near_m = MODELS[camera.model].near_m if camera.model in MODELS else _PLAUSIBLE_M[0]
     is_plausible = near_m <= half_m <= _PLAUSIBLE_M[1]
-    doubt = f"half of the {role} depths are below {half_m:.3g} m; {near_m:g} to {_PLAUSIBLE_M[1]:g} m are plausible"
+    doubt = f"half of the {said} depths are below {half_m:.3g} m; {near_m:g} to {_PLAUSIBLE_M[1]:g} m are plausible"
     if assumed and known.any() and not is_plausible:
         raise CalibrationError(
-            f"the unit of the {role} depth is unknown: with the {unit_m * 1e3:g} mm that a {camera.model} sends, "
+            f"the unit of the {said} depth is unknown: with the {unit_m * 1e3:g} mm that a {camera.model} sends, "
             f"{doubt}; state it, such as mm (--unit)"
         )
     if assumed:
         draft.warnings.append(
-            f"the unit of the {role} depth is assumed: a {camera.model} sends {unit_m * 1e3:g} mm, and a program that "
+            f"the unit of the {said} depth is assumed: a {camera.model} sends {unit_m * 1e3:g} mm, and a program that "
             "saved the images may have converted it; state it, such as mm (--unit)"
         )
     elif not is_plausible:
-        draft.warnings.append(f"the unit of the {role} depth is implausible: {doubt}; check it (--unit)")
+        draft.warnings.append(f"the unit of the {said} depth is implausible: {doubt}; check it (--unit)")
     return (FLOAT_UNIT_M, {} if unit_m == 1 else {"value_m": unit_m}) if is_float else (unit_m, {})
 
 

@@ -7,7 +7,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Final, Literal, Self
 
 from ..errors import ExportError, SourceError
 from ..model.files import recording_files, user_path
@@ -46,6 +46,9 @@ def split_topics(name: str) -> tuple[str, str]:
     return (name, "") if match is None else (name[: match.start()], name[match.start() :])
 
 
+#: Words in names of topics and files that tell a camera's role.
+PROXIMITY_NAMES: Final = ("prox", "proximity", "l515", "tof", "lidar", "femto", "azure", "kinect")
+TACTILE_NAMES: Final = ("tact", "tactile", "d405", "touch", "membrane", "bubble", "gel")
 #: Which of the two depth cameras of a rig.
 CameraRole = Literal["proximity", "tactile"]
 

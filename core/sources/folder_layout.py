@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import SourceError, counted
 from ..model.arrays import Float64Array
 from ..model.loading import read_file
+from .base import PROXIMITY_NAMES, TACTILE_NAMES
 from .cameras.pairing import nearest_within, pairs, period_s
 
 IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".pgm", ".jpg", ".jpeg", ".bmp")
@@ -26,8 +27,8 @@ _WORDS: Final = {
     **dict.fromkeys(("depth", "depths", "depthmap", "dpt"), "depth"),
     **dict.fromkeys(("color", "colors", "colour", "rgb", "bgr", "image", "images", "img"), "color"),
     **dict.fromkeys(("gray", "grey", "mono", "ir", "infra", "infrared"), "gray"),
-    **dict.fromkeys(("proximity", "prox"), "proximity"),
-    **dict.fromkeys(("tactile", "tact"), "tactile"),
+    **dict.fromkeys(PROXIMITY_NAMES, "proximity"),
+    **dict.fromkeys(TACTILE_NAMES, "tactile"),
     **dict.fromkeys(("mask", "masks", "visib", "truth", "label", "labels", "seg", "normals", "confidence"), "other"),
     **dict.fromkeys(("untouched", "vis", "preview", "colormap", "colorized"), "other"),
 }
@@ -197,7 +198,7 @@ def _slot(relative: Path) -> str | None:
     """Return the slot that the names of a file and of its folders tell, the file's own name first."""
     kind, role = None, "proximity"
     for part in reversed(relative.with_suffix("").parts):
-        meanings = [_WORDS[word] for word in re.findall("[a-z]+", part.lower()) if word in _WORDS]
+        meanings = [_WORDS[word] for word in re.findall("l515|d405|[a-z]+", part.lower()) if word in _WORDS]
         if "other" in meanings:
             return None
         kind = kind or next((word for word in meanings if word in ("depth", "color", "gray")), None)
@@ -226,8 +227,8 @@ def _ordered(images: list[_Image]) -> list[_Image]:
     for one, other in pairwise(images):
         if not by_time and one.number == other.number:
             raise SourceError(
-                f"{one.path} and {other.path} would be the same image of one frame; number them, keep one, or "
-                "open the folder of one"
+                f"{one.path} and {other.path} would be the same image of one frame; number them, keep one, open the "
+                "folder of one, or name the folders of two cameras proximity and tactile"
             )
     return images
 

@@ -218,7 +218,7 @@ def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) 
 
 def pose_between(proximity: StatedLens, tactile: StatedLens, lenses: Sequence[StatedLens]) -> Matrix4 | None:
     """Return ``T_proximity_tactile`` of two cameras of one camchain, or None if it does not state it."""
-    if proximity not in lenses or tactile not in lenses:
+    if proximity not in lenses or tactile not in lenses or proximity == tactile:
         return None
     first, last = sorted((lenses.index(proximity), lenses.index(tactile)))
     pose = np.eye(4)  # of camera ``first`` in the present one

@@ -18,7 +18,7 @@ from typing import Final, Literal
 from ...errors import ExportError, SourceError, counted, foreign
 from ...model.files import atomic_path, user_path
 from ...model.loading import read_json
-from ..base import split_topics
+from ..base import PROXIMITY_NAMES, TACTILE_NAMES, split_topics
 from ..ros_image import DamagedFileError, RawImage
 from .messages import CAMERA_INFO, IMAGE, Bag
 
@@ -34,8 +34,6 @@ _STREAM_WORDS: Final = {
 }
 _TRANSPORT = re.compile(r"/(compressed|compressedDepth)$")
 _INFRARED: Final = frozenset(["ir", "infra", "infra1", "infra2", "infrared", "mono"])
-_PROXIMITY: Final = ("prox", "l515", "tof", "lidar", "femto", "azure", "kinect")
-_TACTILE: Final = ("tact", "d405", "touch", "membrane", "bubble", "gel")
 
 
 @dataclass(frozen=True)
@@ -142,8 +140,8 @@ def _roles(cameras: list[str]) -> dict[str, str] | None:
     """Return the camera of each role, by their names; None if these do not tell it."""
     if len(cameras) == 1:
         return None if "prox" in cameras[0].lower() else {"tactile": cameras[0]}
-    near = [name for name in cameras if any(word in name.lower() for word in _PROXIMITY)]
-    touch = [name for name in cameras if any(word in name.lower() for word in _TACTILE)]
+    near = [name for name in cameras if any(word in name.lower() for word in PROXIMITY_NAMES)]
+    touch = [name for name in cameras if any(word in name.lower() for word in TACTILE_NAMES)]
     if len(cameras) == 2:  # the other one is the other camera
         near = near or [name for name in cameras if name not in touch]
         touch = touch or [name for name in cameras if name not in near]

@@ -141,6 +141,12 @@ def flat(folder):
             save(folder / f"frame{index:04d}_{name}.png", COLOR if "rgb" in name else DEPTH)
 
 
+def models(folder):
+    for index in range(2):
+        for name in ("l515/depth", "d405/depth", "l515/rgb"):
+            save(folder / name / f"{index}.png", COLOR if "rgb" in name else DEPTH)
+
+
 def subfolders(folder):
     for index in range(2):
         save(folder / f"{index}/depth.png", DEPTH)
@@ -155,6 +161,7 @@ LAYOUTS = {
     "BOP": (bop, {}, 3, 0, 0),
     "roles": (roles, {"proximity": LENS, "tactile": LENS, "unit": "mm"}, 3, 1, 0),
     "flat": (flat, {"proximity": LENS, "tactile": LENS, "unit": "mm"}, 2, 0, 0),
+    "models": (models, {"proximity": LENS, "tactile": LENS, "unit": "mm"}, 2, 0, 0),
     "subfolders": (subfolders, {"proximity": LENS, "unit": "mm"}, 2, 0, 0),
 }
 
@@ -167,12 +174,25 @@ def test_a_layout_is_found_with_its_unit_and_its_gaps(tmp_path, layout):
     with FolderSource(tmp_path) as source:
         read = list(source)
         assert (len(read), source.health().unmatched) == (frames, unmatched)
-        one_camera = "tactile" not in " ".join(found.notes)
+        one_camera = not any("proximity: " in note for note in found.notes)
         assert source.rig.has_proximity != one_camera
     for frame in read:
         metres = frame.proximity_depth * found.rig.proximity.depth_unit_m
         np.testing.assert_allclose(metres, DEPTH / 1000, atol=1e-6)
     assert sum(not frame.proximity_color.any() for frame in read) == colorless
+
+
+def test_a_lens_beside_the_images_is_found_and_one_of_both_cameras_tells_no_pose(tmp_path):
+    flat(tmp_path)
+    (tmp_path / "K.txt").write_text("30 0 15.5 0 31 11.5 0 0 1")
+    found = make_rig(tmp_path, "mm")
+    assert found.rig.T_proximity_tactile is None
+    assert "both cameras have the lens" in " ".join(found.warnings)
+    (tmp_path / "K.txt").rename(tmp_path / "ost.yaml")
+    (tmp_path / "left_intrinsics.txt").write_text("1 0 0")
+    (tmp_path / "right_intrinsics.txt").write_text("1 0 0")
+    with pytest.raises(TactuneError, match=r"left_intrinsics\.txt and right_intrinsics\.txt may state it"):
+        make_rig(tmp_path, "mm")
 
 
 def test_colour_of_another_size_of_the_only_camera_is_left_out(tmp_path):
