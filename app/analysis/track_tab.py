@@ -259,7 +259,7 @@ class TrackTab(LiveTab):
                 lut[row, 3] = 255
             legend.append(("model", QColor(*_MODEL_RGB)))
         self.scene.set_cloud(free_cloud(points, colors, lut, count=len(patch)) if len(points) else None)
-        self.scene.set_legend(legend)
+        self.scene.legend.setValue(legend)
 
     def _next_step(self) -> str:
         if self.model is None:

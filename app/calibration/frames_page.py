@@ -111,11 +111,11 @@ class FramesPage(QWidget):
         for (side, image), pane in self.previews.items():
             if image == "color" and side == "tactile" and frame.tactile_color is None:
                 pane.set_pixels(None, (640, 480), 1)
-                pane.set_message("This camera has no colour image")
+                pane.notice.set_text("This camera has no colour image")
                 continue
             shown = picture(frame, rig, side, image)
             height, width = shown.gray.shape
-            pane.set_message("")
+            pane.notice.set_text("")
             pane.set_pixels(shown.pixels, (width, height), 1)
             pane.show_rect(pane.image_rect())
 

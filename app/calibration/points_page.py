@@ -126,7 +126,7 @@ class PointsPage(QWidget):
     def _show_points(self) -> None:
         state, selected = self._session.state, self._session.selected
         for side, image in self.images.items():
-            image.set_marks(image_marks(state, self._outcome, side, self._session.rig, selected))
+            image.layer.set_marks(image_marks(state, self._outcome, side, self._session.rig, selected))
         self.table.set_records(table_rows(state, self._outcome))
         self.table.select(selected)
         self._show_ghost()

@@ -178,4 +178,4 @@ class QualityPage(QWidget):
         session = self._session
         state = session.state.with_choices(image="color")
         marks = image_marks(state, self._outcome, "proximity", session.rig, session.selected, everywhere=True)
-        self.map.set_marks(marks if self._drawn else [])
+        self.map.layer.set_marks(marks if self._drawn else [])

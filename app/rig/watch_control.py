@@ -193,7 +193,7 @@ class DriftWindow(QDialog):
         self.sentence.setText(_CHECKING)
         self.unchecked.clear()
         self.calibrate.setVisible(rig.has_proximity)
-        self.image.set_marks([])
+        self.image.layer.set_marks([])
         self.image.set_image(picture(frame, rig, "tactile", "color").pixels)
         self._job.start(lambda _: check_rig(preset, preset_path, rig, frame))
 
@@ -205,7 +205,7 @@ class DriftWindow(QDialog):
         self.found = found
         self.sentence.setText(as_sentence(found.sentence))
         self.unchecked.setText("" if found.state == "unknown" else " ".join(map(as_sentence, found.unchecked)))
-        self.image.set_marks(_marks(found.alignment) if isinstance(found.alignment, Drift) else [])
+        self.image.layer.set_marks(_marks(found.alignment) if isinstance(found.alignment, Drift) else [])
 
 
 def _marks(drift: Drift) -> list[Mark]:

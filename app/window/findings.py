@@ -109,7 +109,8 @@ class FindingsControl(QObject):
         context.worker.examined.connect(self._found)
         context.worker.opened.connect(lambda _: self._forget())
         context.frameShown.connect(self._explain_empty)
-        self._view.offerPressed.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
+        offer = self._view.notice.button
+        offer.clicked.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
 
     def _in_words(self, finding: Finding) -> ShownFinding:
         """Return a finding with text and tooltip of the button that mends it."""
@@ -171,7 +172,7 @@ class FindingsControl(QObject):
         result = self._context.result
         self._offered = None
         if result is None or result.compared is not None or (result.patch is not None and len(result.patch.points)):
-            self._view.set_offer("")
+            self._view.notice.offer("")
             return
         explaining = next((finding for finding in self._shown.values() if finding.explains_empty), None)
         if explaining is not None:
@@ -182,4 +183,4 @@ class FindingsControl(QObject):
             rendered = result.rendered
             self._offered = Finding("no_contact", "", rendered.no_contact, action=rendered.no_contact_action)
         offer = ShownFinding("") if self._offered is None else self._in_words(self._offered)
-        self._view.set_offer(offer.button, offer.tip)
+        self._view.notice.offer(offer.button, offer.tip)

@@ -184,12 +184,12 @@ class FramePresenter(QObject):
     def _show_readout(self) -> None:
         result = self._context.result
         if result is None:
-            self._strip.set_readout("")
+            self._strip.readout.setText("")
             return
         color, compared = hsv_words(result, *self._pixel), result.compared
         if compared is None:
-            self._strip.set_readout(readout(result.patch, *self._pixel, color))
+            self._strip.readout.setText(readout(result.patch, *self._pixel, color))
             return
         right = self._strip.right_of_wipe(self._pixel[0])
         text = readout((compared.b if right else compared.a).patch, *self._pixel, color)
-        self._strip.set_readout(text and f"{'B' if right else 'A'}   {text}")
+        self._strip.readout.setText(text and f"{'B' if right else 'A'}   {text}")

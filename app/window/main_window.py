@@ -188,7 +188,7 @@ class MainWindow(QMainWindow):
         found = [of_action(plain_text(action), action) for action in actions]
         found += [of_action(before + plain_text(entry), entry) for before, group in chosen for entry in group.actions()]
         for path, row in self.panel.rows.items():
-            section = self.panel.sections[path.partition(".")[0]].title
+            section = self.panel.sections[path.partition(".")[0]].button.text()
             found.append((f"{section}: {row.spec.title}", "parameter", partial(self._show_parameter, path)))
         found += [(f"Export: {kind}", "", partial(self.export.ask, kind)) for kind in self.export.kinds()]
         return found
@@ -248,7 +248,7 @@ class MainWindow(QMainWindow):
         self.panel.maskShown.connect(self._send_wanted)
         self.eyedropper.started.connect(self._show_color_image)
         for path in self.panel.histograms:
-            self.panel.sections[path.partition(".")[0]].collapsedChanged.connect(self._send_wanted)
+            self.panel.sections[path.partition(".")[0]].button.folded.connect(self._send_wanted)
 
     def _connect_actions(self) -> None:
         actions, worker, flows = self.actions_, self.worker, self.file_flows
@@ -384,7 +384,7 @@ class MainWindow(QMainWindow):
             Wanted(
                 clouds=self.views.visible_clouds(),
                 color_by=self.views.chosen_colors(),
-                images=frozenset() if self.strip.isHidden() else self.strip.shown_images(),
+                images=frozenset() if self.strip.isHidden() else frozenset(self.strip.shown_images()),
                 strip_width=self.strip.width_hint(),
                 shows_mask=self.panel.show_mask.isChecked(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),

@@ -241,7 +241,7 @@ class ViewArea(QWidget):
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
         for name, view in self.views.items():
-            view.set_badge(badges.get(name, ""))
+            view.badge.set_text(badges.get(name, ""))
 
     def show_message(self, message: str) -> None:
         self.set_wipe(None)
@@ -255,11 +255,11 @@ class ViewArea(QWidget):
         view.set_message(message)
         if self._legends.get(name) != legend:
             self._legends[name] = legend
-            view.set_legend(legend)
+            view.legend.setValue(legend)
 
     def _fit_legends(self) -> None:
         for large in (False, True):
-            level([view.legend_line for view in self.views.values() if (view is self.large) is large])
+            level([view.legend for view in self.views.values() if (view is self.large) is large])
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)

@@ -43,7 +43,7 @@ def test_choose_tune_and_undo(window, qtbot):
     assert window.document.preset.contact_test == "membrane"
     assert window.document.undo_stack.undoText() == "Contact test membrane"
     assert tuple(window.result.patch.stage_ms) == tuple(MembraneTest.steps)
-    assert "raise the largest gap" in window.views.views[CloudName.PATCH].message()
+    assert "raise the largest gap" in window.views.views[CloudName.PATCH].notice.text()
     assert window.result.rendered.histogram.field == "membrane.gap_m"
     assert window.panel.histograms["membrane.gap_m"].isVisible()
     assert not window.panel.histograms["tolerance.t"].isVisible()

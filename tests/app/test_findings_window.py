@@ -78,10 +78,10 @@ def test_the_rail_mends_and_nothing_moves(window, qtbot):
 
 def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
     view = window.views.views[CloudName.PATCH]
-    qtbot.waitUntil(lambda: "the cameras disagree" in view.message())
+    qtbot.waitUntil(lambda: "the cameras disagree" in view.notice.text())
     QTest.mouseClick(button(view, "Depth offset +12.0 mm"), LEFT)
     qtbot.waitUntil(lambda: view.point_count() > 0)
-    assert view.message() == ""
+    assert view.notice.text() == ""
     assert not [each for each in view.findChildren(QPushButton) if each.isVisible()]
 
 

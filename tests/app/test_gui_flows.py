@@ -13,6 +13,7 @@ from hands import (
     drag_slider,
     image_position,
     shows_preset_of_document,
+    strip_position,
     tolerance_slider,
     type_into,
 )
@@ -143,9 +144,9 @@ def test_pause_step_and_seek(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_Comma)
     qtbot.waitUntil(lambda: at_rest(window, 3))
     strip = window.time_strip
-    QTest.mousePress(strip.plot_widget.viewport(), LEFT, pos=strip.position_of(5).toPoint())
-    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(7).toPoint())
-    QTest.mouseRelease(strip.plot_widget.viewport(), LEFT, pos=strip.position_of(7).toPoint())
+    QTest.mousePress(strip.plot_widget.viewport(), LEFT, pos=strip_position(strip, 5).toPoint())
+    QTest.mouseMove(strip.plot_widget.viewport(), strip_position(strip, 7).toPoint())
+    QTest.mouseRelease(strip.plot_widget.viewport(), LEFT, pos=strip_position(strip, 7).toPoint())
     qtbot.waitUntil(lambda: at_rest(window, 7))
     strip.plot_widget.setFocus()
     QTest.keyClick(strip.plot_widget, Qt.Key.Key_Home)

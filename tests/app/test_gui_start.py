@@ -160,11 +160,11 @@ def test_the_patch_of_the_old_test_stays_while_another_is_compiled(monkeypatch, 
     monkeypatch.setattr(beside, "warm_up_if_needed", compile_slowly)
     window.worker._compiler._ready = {("tolerance", False)}
     window.document.edit("contact_test", "membrane")
-    qtbot.waitUntil(lambda: "tolerance" in shown.badge())
+    qtbot.waitUntil(lambda: "tolerance" in shown.badge.text())
     assert window.result.preset.contact_test == "tolerance" and len(window.result.patch.points) == old > 0
     go_on.set()
     qtbot.waitUntil(lambda: window.result.preset.contact_test == "membrane")
-    qtbot.waitUntil(lambda: not shown.badge())
+    qtbot.waitUntil(lambda: not shown.badge.text())
     qtbot.waitUntil(lambda: sorted([*asked, "tolerance"]) == sorted(CONTACT_TESTS))
 
 

@@ -11,7 +11,7 @@ from tactune.app.worker.results import CloudName
 
 
 def badges(window):
-    return {str(name): view.badge() for name, view in window.views.views.items()}
+    return {str(name): view.badge.text() for name, view in window.views.views.items()}
 
 
 def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window, cameras, qtbot):
@@ -24,7 +24,7 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     assert "plug it in" in said["patch"]
     assert all(pane.badge.text() == "old" for pane in window.strip.panes.values())
     assert window.views.views[CloudName.TACTILE].point_count() > 0
-    assert window.views.views[CloudName.TACTILE].accessibleDescription() == said["tactile"]
+    assert window.views.views[CloudName.TACTILE].badge.accessibleName() == said["tactile"]
     assert window.status.state.text() == "No frames"
 
 

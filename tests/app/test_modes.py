@@ -102,7 +102,7 @@ def test_sliders_are_long_enough_to_aim_with_in_a_small_window(window, qtbot, co
     window.document.edit("contact_test", contact_test)
     window.panel.set_collapsed_sections([])
     for form in window.panel.forms.values():
-        form.set_open(True)
+        form.more.fold(False)
     sliders = [slider for slider in window.panel.findChildren(Slider) if slider.isVisible()]
     qtbot.waitUntil(lambda: min(slider.width() for slider in sliders) >= 120)
     for row in window.panel.rows.values():

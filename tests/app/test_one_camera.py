@@ -43,7 +43,7 @@ def patch_view(window):
 
 def test_the_button_in_the_empty_view_chooses_pressure_and_one_undo_takes_it_back(window, qtbot, untouched_source):
     show_source(qtbot, window, untouched_source, 3)
-    qtbot.waitUntil(lambda: "tactile camera only" in patch_view(window).message())
+    qtbot.waitUntil(lambda: "tactile camera only" in patch_view(window).notice.text())
     press(qtbot, patch_view(window), "Use the pressure test")
     qtbot.waitUntil(lambda: window.result.patch is not None and len(window.result.patch.points) > 0)
     assert window.document.preset.contact_test == "pressure"

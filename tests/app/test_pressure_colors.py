@@ -8,7 +8,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeSource
-from hands import show_source, shows_preset_of_document
+from hands import show_source, shows_preset_of_document, strip_position
 from tactune.app.timeline.series import time_series
 from tactune.app.worker.rendering import draw_strip
 from tactune.app.worker.results import CloudName, ColorBy
@@ -57,7 +57,7 @@ def choose_pressure(window, qtbot):
 
 
 def legend(window, name):
-    return {text: color.getRgb()[:3] for text, color in window.views.views[name].legend()}
+    return {text: color.getRgb()[:3] for text, color in window.views.views[name].legend.value()}
 
 
 def colors_of(window, name):
@@ -161,7 +161,7 @@ def test_the_strip_draws_the_force_and_says_what_it_needs(shown, qtbot):
     strip.set_series(np.arange(3) / 30, values, np.ones(3, bool))
     strip.set_words("")
     assert strip.words == ""
-    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(2).toPoint() + QPoint(0, 10))
+    QTest.mouseMove(strip.plot_widget.viewport(), strip_position(strip, 2).toPoint() + QPoint(0, 10))
     qtbot.waitUntil(lambda: strip.words.endswith(": 3.25 N"))
     strip.set_series(np.arange(3) / 30, {"force_n": np.full(3, np.nan)}, np.ones(3, bool))
     strip.set_words("")

@@ -35,7 +35,7 @@ def test_shows_the_angles(qtbot, window):
     alone = tab.shown[1]
     assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
     assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
-    assert [name for name, _ in tab.cloud.legend()] == ["patch", "fitted plane"]
+    assert [name for name, _ in tab.cloud.legend.value()] == ["patch", "fitted plane"]
     assert "noise" in tab.status.text()  # that of the rig was not measured
 
 
@@ -46,7 +46,7 @@ def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, win
     qtbot.waitUntil(lambda: window.result.patch is None)
     qtbot.waitUntil(lambda: tab.shown is None)
     assert (tab.roll.text(), tab.axis.text()) == ("", "")
-    assert tab.cloud.message() == tab.status.text() == window.result.problem != ""
+    assert tab.cloud.notice.text() == tab.status.text() == window.result.problem != ""
 
 
 def test_rows_are_exported_removed_and_brought_back(qtbot, window, tmp_path):

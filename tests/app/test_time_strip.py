@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, at_rest
-from hands import CONTROL, show_source, type_path
+from hands import CONTROL, show_source, strip_position, type_path
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.tactune_files import McapSource
@@ -69,7 +69,7 @@ def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_
     strip.curve_box.setFocus()
     QTest.keyClick(strip.curve_box, Qt.Key.Key_Down)
     assert strip.curve.key == "points"
-    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(9).toPoint() + QPoint(0, 10))
+    QTest.mouseMove(strip.plot_widget.viewport(), strip_position(strip, 9).toPoint() + QPoint(0, 10))
     points = int(first.values["points"][9])
     qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
     a_process_that_was_killed_is_replaced_and_ends_with_the_window(window, qtbot)

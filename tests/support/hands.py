@@ -66,6 +66,14 @@ def image_position(pane, u, v):
     return QPointF(pane.view.mapFromScene(pane.box.mapViewToScene(QPointF(u, v))))
 
 
+def strip_position(strip, index):
+    """Where the time of a frame is drawn in a time strip, in coordinates of its plot."""
+    plot = strip.plot_widget
+    return QPointF(
+        plot.mapFromScene(plot.getPlotItem().getViewBox().mapViewToScene(QPointF(strip.seconds[index], 0.0)))
+    )
+
+
 def tolerance_slider(window):
     slider = window.panel.rows["tolerance.t"].widget.slider
     window.panel.ensureWidgetVisible(slider)

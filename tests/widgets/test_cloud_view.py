@@ -164,7 +164,7 @@ def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot, monkeypatch):
     picture(view)
     drawn.clear()
     view.set_cloud(cloud)
-    view.set_badge("old")
+    view.badge.set_text("old")
     picture(view)
     assert drawn == []
     view.set_wipe(Wipe(0.5, "A", "B"))

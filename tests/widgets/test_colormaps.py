@@ -27,7 +27,7 @@ def test_depth_colours_are_perceptually_uniform_and_get_darker():
 def test_the_band_is_one_colour_and_ends_at_t(t):
     lut = colormaps.difference_lut(t)
     relative = np.array([[-t - 0.003, -t + 0.001, 0.0, t - 0.001, t + 0.003]], np.float32)
-    below, low, middle, high, above = lut[colormaps.difference_index(relative)[0], :3].tolist()
+    below, low, middle, high, above = lut[colormaps.scale_index(relative, -0.1, 0.1)[0], :3].tolist()
     assert low == middle == high
     assert below != middle != above
     assert lab([below, middle])[1, 1] - lab([below, middle])[0, 1] > 10, "the band is redder than what is around it"

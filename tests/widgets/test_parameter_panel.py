@@ -180,7 +180,7 @@ def test_only_the_chosen_alignment_is_shown(panel, seen):
     pose, plane = (
         panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")
     )
-    panel.forms["alignment"].set_open(True)
+    panel.forms["alignment"].more.fold(False)
     assert pose.isVisible()
     assert not plane.isVisible()
     assert pose.text() == "from the rig"
@@ -204,10 +204,10 @@ def test_advanced_fields_are_folded_until_they_matter(panel):
     trust, gap = panel.rows["membrane.trust_m"], panel.rows["membrane.gap_m"]
     assert gap.widget.isVisible()
     assert not trust.widget.isVisible()
-    assert not panel.forms["membrane"].is_open
+    assert panel.forms["membrane"].more.is_folded
     QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     assert trust.widget.isVisible()
-    assert panel.forms["membrane"].is_open
+    assert not panel.forms["membrane"].more.is_folded
     QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     panel.set_preset(Preset(membrane=MembraneSection(trust_m=0.02)))
     assert trust.widget.isVisible(), "a value that differs is not hidden"

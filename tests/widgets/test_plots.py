@@ -7,6 +7,7 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import strip_position
 from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
 from tactune.widgets.plots.time_strip import CURVES, TimeStrip
 
@@ -107,7 +108,7 @@ def sought(strip):
 
 def turn_wheel(strip, index, notches):
     viewport = strip.plot_widget.viewport()
-    place = strip.position_of(index)
+    place = strip_position(strip, index)
     event = QWheelEvent(
         place, QPointF(viewport.mapToGlobal(place.toPoint())), QPoint(), QPoint(0, 120 * notches),
         Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
@@ -117,12 +118,12 @@ def turn_wheel(strip, index, notches):
 
 
 def pixels_per_frame(strip):
-    return (strip.position_of(101).x() - strip.position_of(100).x()) or 1e-9
+    return (strip_position(strip, 101).x() - strip_position(strip, 100).x()) or 1e-9
 
 
 def test_a_click_means_the_nearest_frame(strip, sought):
     for index in (0, 120, N - 1):
-        QTest.mouseClick(strip.plot_widget.viewport(), LEFT, pos=strip.position_of(index).toPoint())
+        QTest.mouseClick(strip.plot_widget.viewport(), LEFT, pos=strip_position(strip, index).toPoint())
     assert sought == [0, 120, N - 1]
 
 
@@ -130,8 +131,8 @@ def test_the_wheel_zooms_and_a_double_click_shows_everything(strip, sought):
     before = pixels_per_frame(strip)
     turn_wheel(strip, 150, 10)
     assert pixels_per_frame(strip) > 2 * before
-    QTest.mouseClick(strip.plot_widget.viewport(), LEFT, pos=strip.position_of(152).toPoint())
+    QTest.mouseClick(strip.plot_widget.viewport(), LEFT, pos=strip_position(strip, 152).toPoint())
     assert sought == [152]
-    QTest.mouseDClick(strip.plot_widget.viewport(), LEFT, pos=strip.position_of(152).toPoint())
+    QTest.mouseDClick(strip.plot_widget.viewport(), LEFT, pos=strip_position(strip, 152).toPoint())
     QApplication.processEvents()
     assert pixels_per_frame(strip) == pytest.approx(before)

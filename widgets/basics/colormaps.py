@@ -133,10 +133,11 @@ def pressure_legend(theme: ThemeName, top: float, inflation_pa: float) -> Legend
     return [(name, _color(lut, row)) for name, row in zip(names, rows, strict=True)]
 
 
-def difference_index(relative_difference: Float32Array, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
-    """Return rows of a difference table for ``(dp - dt) / dp``, float32 (H, W): 1 to 255 over the limits, 0 for nan."""
-    rows = relative_difference * np.float32(127.0 / limit)
-    rows += np.float32(128.5)
+def scale_index(values: Float32Array, low: float, high: float) -> Uint8Array:
+    """Return rows of a table of colours for float32 (H, W): 1 to 255 from ``low`` to ``high``, 0 for nan."""
+    per_row = 254.0 / (high - low)
+    rows = values * np.float32(per_row)
+    rows += np.float32(1.5 - low * per_row)
     np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
     np.fmax(rows, np.float32(UNDEFINED_ROW), out=rows)  # takes the place of nan
     return rows.astype(np.uint8)

@@ -103,10 +103,13 @@ def text_button(action: QAction, kind: str = "") -> QToolButton:
 
 
 class FoldButton(QToolButton):
-    """The button above something that folds: an arrow and a title over the whole width."""
+    """The button above a body that folds: an arrow and a title over the whole width."""
 
-    def __init__(self, title: str, name: str, tip: str) -> None:
+    folded = pyqtSignal(bool)
+
+    def __init__(self, title: str, name: str, tip: str, body: QWidget) -> None:
         super().__init__()
+        self._body, self.is_folded = body, False
         self.setText(title)
         self.setAccessibleName(name)
         self.setToolTip(tip)
@@ -114,9 +117,14 @@ class FoldButton(QToolButton):
         self.setAutoRaise(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setArrowType(Qt.ArrowType.DownArrow)
+        self.clicked.connect(lambda: self.fold(not self.is_folded))
 
-    def show_folded(self, folded: bool) -> None:
+    def fold(self, folded: bool) -> None:
+        self.is_folded = folded
+        self._body.setHidden(folded)
         self.setArrowType(Qt.ArrowType.RightArrow if folded else Qt.ArrowType.DownArrow)
+        self.folded.emit(folded)
 
 
 def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:
@@ -145,16 +153,12 @@ def caption(text: str, control: QWidget) -> QLabel:
     return label
 
 
-def make_verdict(label: QLabel) -> None:
-    label.setFont(text_font("title", bold=True))
-
-
 def wrapped_label(text: str = "", *, verdict: bool = False, selectable: bool = False) -> QLabel:
     """Return a label for sentences, which may take several lines and, if ``selectable``, can be copied."""
     label = QLabel(text)
     label.setWordWrap(True)
     if verdict:
-        make_verdict(label)
+        label.setFont(text_font("title", bold=True))
     if selectable:
         label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     return label
@@ -211,8 +215,8 @@ def number_label(widest: str, tip: str) -> TintedLabel:
 class ElidedLabel(QLabel):
     """Plain text in ``lines`` lines that accepts any width; the tooltip has the whole text if it is elided."""
 
-    def __init__(self, text: str = "", parent: QWidget | None = None, lines: int = 1) -> None:
-        super().__init__(text, parent)
+    def __init__(self, text: str = "", lines: int = 1) -> None:
+        super().__init__(text)
         self._lines = lines
         self.setTextFormat(Qt.TextFormat.PlainText)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
@@ -306,29 +310,15 @@ class ProgressCard(QFrame):
 class CollapsibleSection(QFrame):
     """A titled section: a header button that folds the body, and header widgets beside the title."""
 
-    collapsedChanged = pyqtSignal(bool)
-
     def __init__(self, title: str) -> None:
         super().__init__()
-        self.title = title
-        self.collapsed = False
-        self.button = FoldButton(title, f"{title} section", f"Fold or unfold {title.lower()}")
-        self.button.show_folded(False)
+        self.body = QWidget()
+        self.button = FoldButton(title, f"{title} section", f"Fold or unfold {title.lower()}", self.body)
         self.button.setFont(text_font("body", bold=True))
         header = QFrame()
         self._header_layout = hbox((self.button, 1), within=header, margins=(4, 0, 4, 0), spacing=4)
-        self.body = QWidget()
         vbox(header, self.body, within=self, margins=0, spacing=0)
-        self.button.clicked.connect(lambda: self.set_collapsed(not self.collapsed))
 
     def add_header_widget(self, widget: QWidget) -> None:
         """Put a widget at the right end of the header, where it stays when the section is folded."""
         self._header_layout.addWidget(widget)
-
-    def set_collapsed(self, collapsed: bool) -> None:
-        if collapsed == self.collapsed:
-            return
-        self.collapsed = collapsed
-        self.body.setVisible(not collapsed)
-        self.button.show_folded(collapsed)
-        self.collapsedChanged.emit(collapsed)

@@ -17,17 +17,11 @@ _FOLDER = Path(__file__).parents[1] / "icons"
 
 def icon(name: str, color: str = "") -> QIcon:
     """Return a file of ``widgets/icons`` that follows the theme, in a colour of `ThemeColors` or that of buttons."""
-    _svg(name)
     return QIcon(_ThemeIcon(name, color))
 
 
-@lru_cache
 def app_icon() -> QIcon:
-    drawn = QIcon()
-    renderer = QSvgRenderer((_FOLDER / "tactune.svg").read_bytes())
-    for side in (16, 24, 32, 48, 64, 128, 256):
-        drawn.addPixmap(QPixmap.fromImage(_drawn(renderer, QSize(side, side))))
-    return drawn
+    return QIcon(str(_FOLDER / "tactune.svg"))
 
 
 class _ThemeIcon(QIconEngine):
@@ -57,25 +51,13 @@ class _ThemeIcon(QIconEngine):
         return (QColor(getattr(theme_colors(), self._color)) if self._color else palette.color(role)).rgba()
 
 
-@lru_cache
-def _svg(name: str) -> bytes:
-    return (_FOLDER / f"{name}.svg").read_bytes()
-
-
 @lru_cache(maxsize=512)
 def _tinted(name: str, width: int, height: int, rgba: int) -> QImage:
-    image = _drawn(QSvgRenderer(_svg(name)), QSize(width, height))
-    painter = QPainter(image)
-    painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceIn)
-    painter.fillRect(image.rect(), QColor.fromRgba(rgba))
-    painter.end()
-    return image
-
-
-def _drawn(renderer: QSvgRenderer, size: QSize) -> QImage:
-    image = QImage(size, QImage.Format.Format_ARGB32_Premultiplied)
+    image = QImage(width, height, QImage.Format.Format_ARGB32_Premultiplied)
     image.fill(Qt.GlobalColor.transparent)
     painter = QPainter(image)
-    renderer.render(painter, QRectF(image.rect()))
+    QSvgRenderer((_FOLDER / f"{name}.svg").read_bytes()).render(painter, QRectF(image.rect()))
+    painter.setCompositionMode(QPainter.CompositionMode.CompositionMode_SourceIn)
+    painter.fillRect(image.rect(), QColor.fromRgba(rgba))
     painter.end()
     return image

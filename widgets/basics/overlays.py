@@ -31,9 +31,7 @@ class Notice(QWidget):
         self.button.setAutoDefault(False)  # Enter belongs to the dialog that the view is in
         self.button.hide()
         centre = Qt.AlignmentFlag.AlignHCenter
-        column = (
-            vbox(within=self, margins=8, spacing=12) if warns else vbox(STRETCH, within=self, margins=8, spacing=12)
-        )
+        column = vbox(*([] if warns else [STRETCH]), within=self, margins=8, spacing=12)
         column.addWidget(self._words, 0, centre)
         column.addWidget(self.button, 0, centre)
         column.addStretch(1)
@@ -47,11 +45,12 @@ class Notice(QWidget):
     def set_text(self, text: str) -> None:
         if text != self.text():
             self._words.setText(text)
+            self.setAccessibleName(text)
             self._fit()
             self.setVisible(bool(text))
             self.raise_()
 
-    def offer(self, text: str, tip: str) -> None:
+    def offer(self, text: str, tip: str = "") -> None:
         """Show a button below the words, or with an empty text none."""
         if (text, tip) == (self.button.text(), self.button.toolTip()):
             return

@@ -51,8 +51,8 @@ class CloudHeader(QWidget):
 class LegendLine(QLabel):
     """The entries that fit, over as many lines as it is high; the tooltip lists all."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._entries: list[tuple[str, QColor]] = []
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)

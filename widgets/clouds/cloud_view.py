@@ -8,7 +8,7 @@ from math import pi, radians
 import numpy as np
 import numpy.typing as npt
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent, QWheelEvent
+from PyQt6.QtGui import QKeyEvent, QMouseEvent, QWheelEvent
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float64Array
@@ -55,13 +55,11 @@ class CloudView(QWidget):
 
     #: The wipe was dragged; carries the share of the width left of it.
     wipeDragged = pyqtSignal(float)
-    #: The button below the message was pressed.
-    offerPressed = pyqtSignal()
     pointHovered = pyqtSignal(object)  # Flat pixel and place of the point under the mouse, or None
     enlargeRequested = pyqtSignal()
 
-    def __init__(self, title: str, parent: QWidget | None = None, *, inspects: bool = False) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str, *, inspects: bool = False) -> None:
+        super().__init__()
         self._inspects = inspects
         self._message, self._right_message = "", ""
         self._steered = False
@@ -78,13 +76,12 @@ class CloudView(QWidget):
         self._hover.timeout.connect(self._point)  # no lambda: Qt would call it after Python has cleared a closed view
 
         self._header = CloudHeader(title)
-        self.legend_line = LegendLine()
+        self.legend = LegendLine()
         self.canvas = CloudCanvas(self)
         self.canvas.setObjectName("canvas")
         self.canvas.resized.connect(self._frame_after_resize)
-        self._notice, self._badge = Notice(self.canvas), Notice(self.canvas, warns=True)
-        self._notice.button.clicked.connect(self.offerPressed)
-        parts = self._header, (self.canvas, 1), self.legend_line
+        self.notice, self.badge = Notice(self.canvas), Notice(self.canvas, warns=True)
+        parts = self._header, (self.canvas, 1), self.legend
         vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
         for widget in (self, self.canvas):
             widget.setMouseTracking(True)
@@ -143,33 +140,11 @@ class CloudView(QWidget):
         self.canvas.running = running
         self.canvas.update()
 
-    def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
-        self.legend_line.setValue(entries)
-
-    def legend(self) -> list[tuple[str, QColor]]:
-        return self.legend_line.value()
-
     def set_message(self, message: str) -> None:
+        """Set what `notice` says while there are no points."""
         if message != self._message:
             self._message = message
             self._show_count()
-
-    def set_offer(self, text: str, tip: str = "") -> None:
-        """Set the button below the message, such as "Check cameras"; an empty text removes it."""
-        self._notice.offer(text, tip)
-
-    def message(self) -> str:
-        """Return the message that is visible now: empty while there are points."""
-        return self._notice.text()
-
-    def set_badge(self, text: str) -> None:
-        """Mark the cloud as old and show why; an empty text removes the mark."""
-        if text != self.badge():
-            self._badge.set_text(text)
-            self.setAccessibleDescription(text)
-
-    def badge(self) -> str:
-        return self._badge.text()
 
     def set_mark(self, mark: Place | None) -> None:
         """Mark a place of the view's frame, metres, or none."""
@@ -197,7 +172,7 @@ class CloudView(QWidget):
         if share < 1:
             sides.append((self.canvas.right, self._right_message))
         empty = not any(cloud is not None and cloud.point_count for cloud, _ in sides)
-        self._notice.set_text(sides[0][1] if empty else "")
+        self.notice.set_text(sides[0][1] if empty else "")
 
     # Camera
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QKeyEvent, QMouseEvent, QPainter
+from PyQt6.QtGui import QImage, QKeyEvent, QPainter
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
@@ -117,16 +117,10 @@ class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
 
 class _View(pg.GraphicsView):  # type: ignore[misc]
     left = pyqtSignal()
-    doubleClicked = pyqtSignal()
 
     def leaveEvent(self, event: QEvent) -> None:
         super().leaveEvent(event)
         self.left.emit()
-
-    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
-        super().mouseDoubleClickEvent(event)
-        if event.button() == Qt.MouseButton.LeftButton:
-            self.doubleClicked.emit()
 
 
 class ImagePane(QWidget):
@@ -140,8 +134,8 @@ class ImagePane(QWidget):
     resized = pyqtSignal()
     wipeDragged = pyqtSignal(float)  # to this share of the visible width
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str) -> None:
+        super().__init__()
         self._size = (640, 480)
         self.title, self.legend = ElidedLabel(title), LegendLine()
         self.legend.hide()
@@ -167,7 +161,6 @@ class ImagePane(QWidget):
         self.view.scene().sigMouseMoved.connect(self._moved)
         self.view.scene().sigMouseClicked.connect(self._clicked)
         self.view.left.connect(lambda: self.hovered.emit(-1, -1))
-        self.view.doubleClicked.connect(self.doubleClicked)
         self.box.sigRangeChanged.connect(self._range_changed)
         self.wipe_line.shareDragged.connect(self.wipeDragged)
         self.box.sigRangeChangedManually.connect(lambda *_: self.viewMoved.emit())
@@ -196,12 +189,6 @@ class ImagePane(QWidget):
         else:
             self.wipe_line.set_share(wipe.share)
             self._pixels.set_split(self.wipe_line.value())
-
-    def set_message(self, text: str) -> None:
-        self.notice.set_text(text)
-
-    def set_badge(self, text: str) -> None:
-        self.badge.set_text(text)
 
     def set_cross(self, u: int, v: int) -> None:
         """Show the crosshair at a pixel; negative numbers hide it."""
@@ -248,5 +235,7 @@ class ImagePane(QWidget):
 
     def _clicked(self, event: Any) -> None:
         pixel = self._pixel_at(event.scenePos())
-        if event.button() == Qt.MouseButton.LeftButton and not event.double() and pixel != (-1, -1):
+        if event.button() == Qt.MouseButton.LeftButton and event.double():
+            self.doubleClicked.emit()
+        elif event.button() == Qt.MouseButton.LeftButton and pixel != (-1, -1):
             self.clicked.emit(*pixel, event.modifiers())

@@ -71,8 +71,8 @@ class ImageStrip(QWidget):
     wipeDragged = pyqtSignal(float)  # share: the wipe was dragged in one of the images
     pickingDone = pyqtSignal()  # *Done* was pressed in the banner
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.panes = {name: ImagePane(title) for name, title in PANES.items()}
         self.regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
         self.readout = ElidedLabel(lines=2)
@@ -81,7 +81,7 @@ class ImageStrip(QWidget):
         self._legend_key: tuple[object, ...] = ()
         self._fitted = True
         self._linking = False
-        self._hint: tuple[int, frozenset[str]] = (0, frozenset())
+        self._hint: tuple[int, list[str]] = (0, [])
         self._two_cameras = True
         self._wipe: Wipe | None = None
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -99,7 +99,7 @@ class ImageStrip(QWidget):
             self.tabs.addTab(TABS[name])
             self.tabs.setTabToolTip(index, PANES[name])
             grid.addWidget(pane, index // 2, index % 2)
-            pane.set_message(_EMPTY)
+            pane.notice.set_text(_EMPTY)
             self._connect_pane(name, pane)
         self.tabs.currentChanged.connect(lambda _: self.show_panes())
         vbox(self.tabs, (grid, 1), self.readout, within=self, margins=0, spacing=4)
@@ -117,7 +117,7 @@ class ImageStrip(QWidget):
             elif name in rendered.panes:  # others are hidden
                 pixels = None if right is None else right.panes.get(name)
                 pane.set_pixels(rendered.panes[name], rendered.size, rendered.stride, pixels)
-            pane.set_message(_EMPTY if rendered is None else "")
+            pane.notice.set_text(_EMPTY if rendered is None else "")
         if rendered is None:
             return
         if rendered.size != self._size:
@@ -168,10 +168,7 @@ class ImageStrip(QWidget):
 
     def set_badge(self, text: str) -> None:
         for pane in self.panes.values():
-            pane.set_badge(text)
-
-    def set_readout(self, text: str) -> None:
-        self.readout.setText(text)
+            pane.badge.set_text(text)
 
     def set_region(self, rectangle: Rectangle | None) -> None:
         """Show the region of interest (left, top, width, height), or none; never emits."""
@@ -189,16 +186,14 @@ class ImageStrip(QWidget):
 
     def width_hint(self) -> int:
         """Return the width of the whole image in screen pixels, for `stride_for`."""
-        panes = self.panes.values()
-        shown = [pane for pane in panes if not pane.isHidden()] or panes
-        return max(1, round(max(pane.scale() for pane in shown) * self._size[0]))
+        return max(1, round(max(self.panes[name].scale() for name in self.shown_images()) * self._size[0]))
+
+    def shown_images(self) -> list[str]:
+        """Return the names of the images that are shown, at least one: a hidden one has no size of its own."""
+        return [name for name, pane in self.panes.items() if not pane.isHidden()]
 
     def _shown(self) -> ImagePane:
-        """Return the first image that is shown; a hidden one has no size of its own."""
-        return next((pane for pane in self.panes.values() if not pane.isHidden()), self.panes["color"])
-
-    def shown_images(self) -> frozenset[str]:
-        return frozenset(name for name, pane in self.panes.items() if not pane.isHidden())
+        return self.panes[self.shown_images()[0]]
 
     def reset_view(self) -> None:
         self._fitted = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Final
 
 from PyQt6.QtCore import QEvent, QObject, QPointF, QRectF, QSize, Qt, pyqtSignal
@@ -113,8 +112,8 @@ class PointImage(ImagePane):
     acceptRequested = pyqtSignal()
     cancelRequested = pyqtSignal()
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(title, parent)
+    def __init__(self, title: str) -> None:
+        super().__init__(title)
         viewport = self.view.viewport()
         self.layer = MarkLayer(self)
         self.loupe = Loupe(viewport)
@@ -138,12 +137,9 @@ class PointImage(ImagePane):
         size = self._size if pixels is None else (pixels.shape[1], pixels.shape[0])
         self._touched = self._touched and size == self._size
         self.set_pixels(pixels, size, 1)
-        self.set_message(message if pixels is None else "")
+        self.notice.set_text(message if pixels is None else "")
         self.loupe.set_pixels(pixels)
         self._fit_untouched()
-
-    def set_marks(self, marks: Sequence[Mark]) -> None:
-        self.layer.set_marks(marks)
 
     def set_loupe_wanted(self, wanted: bool) -> None:
         self._loupe_wanted = wanted

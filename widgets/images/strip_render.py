@@ -16,8 +16,8 @@ from ..basics.colormaps import (
     DIFFERENCE_LIMIT,
     MASKED_RGB,
     depth_lut,
-    difference_index,
     difference_lut,
+    scale_index,
     tint,
 )
 
@@ -64,13 +64,13 @@ def color_pane(color: Uint8Array, mask: BoolArray | None) -> Uint8Array:
 
 def depth_pane(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Array:
     """Draw depth, nan where there is none."""
-    return _colored(depth_lut(), _depth_index(depth_m, range_m))
+    return _colored(depth_lut(), scale_index(depth_m, *range_m))
 
 
 def difference_pane(expected_m: Float32Array, measured_m: Float32Array, tolerance: float) -> Uint8Array:
     """Draw the relative difference of both depths; nan where one of them is missing."""
     limit, relative = difference_limit(tolerance), relative_difference(expected_m, measured_m)
-    return _colored(difference_lut(round(tolerance, 6), limit), difference_index(relative, limit))
+    return _colored(difference_lut(round(tolerance, 6), limit), scale_index(relative, -limit, limit))
 
 
 def outline_contact(panes: Iterable[Uint8Array], contact: BoolArray) -> None:
@@ -84,16 +84,6 @@ def outline_contact(panes: Iterable[Uint8Array], contact: BoolArray) -> None:
 def stride_for(width: int, width_hint: int) -> int:
     """Return the step at which an image is drawn whose whole width takes ``width_hint`` screen pixels; 0 draws all."""
     return max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
-
-
-def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Array:
-    """Take depths to rows 1 to 255 of a table, nan to row 0."""
-    near, far = range_m
-    rows = depth_m * np.float32(254.0 / (far - near))
-    rows += np.float32(1.5 - near * 254.0 / (far - near))
-    np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
-    np.fmax(rows, np.float32(0.0), out=rows)  # nan becomes 0
-    return rows.astype(np.uint8)
 
 
 def _colored(lut: Uint8Array, rows: Uint8Array) -> Uint8Array:

@@ -134,14 +134,12 @@ class Form(QWidget):
         self._differs = False
         seen, self._body = QWidget(), QWidget()
         self._grid, self._hidden = _grid(seen), _grid(self._body)
-        self.more = FoldButton(
-            "More", f"More of {title}", f"Show or hide the fields of {title} that are seldom changed"
-        )
-        self.more.clicked.connect(lambda: self.set_open(not self.is_open))
+        tip = f"Show or hide the fields of {title} that are seldom changed"
+        self.more = FoldButton("More", f"More of {title}", tip, self._body)
         more = hbox(_RESET_WIDTH, self.more, spacing=0)
         vbox(seen, more, self._body, within=self, margins=(0, 4, 4, 4), spacing=4)
         self.more.hide()
-        self.set_open(False)
+        self.more.fold(True)
         for row in rows:
             self.add(row)
 
@@ -169,10 +167,6 @@ class Form(QWidget):
             column = 2
         self._grid.addWidget(widget, line, column, 1, COLUMNS - column)
 
-    @property
-    def is_open(self) -> bool:
-        return bool(self.advanced) and not self._body.isHidden()
-
     def align_columns(self) -> None:
         """Give labels, number fields and units equal widths: those behind the fold stand in a grid of their own."""
         rows = [row for row in self.rows.values() if not row.in_header]
@@ -182,15 +176,11 @@ class Form(QWidget):
             for widget in widgets:
                 widget.setMinimumWidth(width)
 
-    def set_open(self, opened: bool) -> None:
-        self._body.setVisible(opened)
-        self.more.show_folded(not opened)
-
     def open_if_changed(self) -> None:
         """Open the fold if a value differs from the default now and none did before."""
         differs = any(row.editor.value() != row.spec.default for row in self.advanced)
         if differs and not self._differs:
-            self.set_open(True)
+            self.more.fold(False)
         self._differs = differs
 
 

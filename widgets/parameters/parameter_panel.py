@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -119,7 +119,7 @@ class ParameterPanel(QScrollArea):
         row = self.rows[path]
         row.show_value(self._preset.value(path))
         row.refuse(sentence)
-        self.sections[_section_of(path)].set_collapsed(False)
+        self.sections[_section_of(path)].button.fold(False)
         self._unfold(path)
         self._refresh()
 
@@ -129,7 +129,7 @@ class ParameterPanel(QScrollArea):
 
     def go_to(self, path: str) -> None:
         """Unfold the section of a field and give the field the focus."""
-        self.sections[_section_of(path)].set_collapsed(False)
+        self.sections[_section_of(path)].button.fold(False)
         self._unfold(path)
         row = self.rows[path]
         if not row.widget.isEnabled():  # the section is off: show its switch
@@ -145,7 +145,7 @@ class ParameterPanel(QScrollArea):
 
     def _unfold(self, path: str) -> None:
         if self.rows[path].spec.advanced:
-            self.forms[_section_of(path)].set_open(True)
+            self.forms[_section_of(path)].more.fold(False)
 
     def set_median_distance_m(self, distance_m: float) -> None:
         """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
@@ -158,7 +158,7 @@ class ParameterPanel(QScrollArea):
         self.histograms[path].set_data(counts, edges, known)
 
     def open_histograms(self) -> frozenset[str]:
-        return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].collapsed)
+        return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].button.is_folded)
 
     def show_masked_share(self, share: float | None) -> None:
         """Say how much of the image has the mask's colour; None hides it."""
@@ -168,11 +168,11 @@ class ParameterPanel(QScrollArea):
             self.masked_share.setText(f'<font color="{swatch}">■</font> {100 * share:.1f} % of the colour image masked')
 
     def collapsed_sections(self) -> list[str]:
-        return [name for name, section in self.sections.items() if section.collapsed]
+        return [name for name, section in self.sections.items() if section.button.is_folded]
 
     def set_collapsed_sections(self, names: list[str]) -> None:
         for name, section in self.sections.items():
-            section.set_collapsed(name in names)
+            section.button.fold(name in names)
 
     def set_two_cameras(self, two: bool) -> None:
         self.sections["alignment"].setVisible(two)
@@ -217,7 +217,9 @@ class ParameterPanel(QScrollArea):
                 button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
             self.show_mask.setChecked(True)
             self.show_mask.clicked.connect(self.maskShown)
-            form.add_line(_bar((*self.eyedroppers.values(), self.show_mask)), "Eyedropper")
+            bar, buttons = QWidget(), (*self.eyedroppers.values(), self.show_mask)
+            hbox(*((button, 1) for button in buttons), within=bar, margins=0, spacing=4)
+            form.add_line(bar, "Eyedropper")
             form.add_line(self.masked_share)
         if suggestible:
             evidence = "the newest frames and the untouched frame"
@@ -264,7 +266,7 @@ class ParameterPanel(QScrollArea):
 
     def _row_edited(self, path: str, value: object, gesture: int) -> None:
         if value is True and self.rows[path].in_header:
-            self.sections[_section_of(path)].set_collapsed(False)
+            self.sections[_section_of(path)].button.fold(False)
         self._refresh()
         self.valueEdited.emit(path, value, gesture)
 
@@ -351,12 +353,6 @@ def _bar_button(text: str, tip: str, name: str) -> QToolButton:
     button = tool_button(text, tip, name, checkable=True)
     button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     return button
-
-
-def _bar(buttons: Iterable[QToolButton]) -> QWidget:
-    bar = QWidget()
-    hbox(*((button, 1) for button in buttons), within=bar, margins=0, spacing=4)
-    return bar
 
 
 def _note() -> QLabel:

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, QPointF, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QKeyEvent, QMouseEvent
-from PyQt6.QtWidgets import QGridLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
 from ...core.model.arrays import BoolArray, Float64Array
@@ -130,7 +130,7 @@ class TimeStrip(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.setFixedHeight(_HEIGHT)
-        self._seconds: Float64Array = np.zeros(0)
+        self.seconds: Float64Array = np.zeros(0)
         self._values: Mapping[str, Float64Array] = {}
         self._computed: BoolArray = np.zeros(0, np.bool_)
         self._live = False
@@ -143,12 +143,7 @@ class TimeStrip(QWidget):
         self._make_plot()
         self._buttons = hbox((self.curve_box, 1), 4, spacing=0)
         self._side = vbox(self._buttons, STRETCH, spacing=4)
-        layout = QGridLayout(self)
-        layout.setContentsMargins(4, 0, 4, 0)
-        layout.setHorizontalSpacing(4)
-        layout.addLayout(self._side, 0, 0)
-        layout.addWidget(self.plot_widget, 0, 1)
-        layout.setColumnStretch(1, 1)
+        hbox(self._side, (self.plot_widget, 1), within=self, margins=(4, 0, 4, 0), spacing=4)
         self.plot_widget.follow_theme(self._recolor)
         self._place_marks()
 
@@ -203,9 +198,9 @@ class TimeStrip(QWidget):
 
     def set_series(self, seconds: Float64Array, values: Mapping[str, Float64Array], computed: BoolArray) -> None:
         """Show a recording: ``seconds`` since the first frame, and ``values`` by the keys of `CURVES`, or nan."""
-        whole = self._live or len(seconds) != len(self._seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
+        whole = self._live or len(seconds) != len(self.seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
         self._live = False
-        self._seconds, self._values, self._computed = seconds, values, computed
+        self.seconds, self._values, self._computed = seconds, values, computed
         self._draw()
         self._limit()
         if whole:
@@ -219,7 +214,7 @@ class TimeStrip(QWidget):
             self._place_marks()
             self._box.setLimits(xMin=-LIVE_S, xMax=0.0, minXRange=1.0, maxXRange=LIVE_S)
             self._box.setXRange(-LIVE_S, 0.0, padding=0)
-        self._seconds, self._values, self._computed = seconds, values, np.ones(len(seconds), np.bool_)
+        self.seconds, self._values, self._computed = seconds, values, np.ones(len(seconds), np.bool_)
         self._draw()
 
     def set_cursor(self, index: int) -> None:
@@ -243,20 +238,15 @@ class TimeStrip(QWidget):
         return str(self._text.toPlainText())
 
     def show_all(self) -> None:
-        if len(self._seconds) and not self._live:
+        if len(self.seconds) and not self._live:
             self._box.setXRange(0.0, self._end_s(), padding=0)
 
-    def position_of(self, index: int) -> QPointF:
-        """Return where a frame's time is drawn, in coordinates of `plot_widget`."""
-        scene = self._box.mapViewToScene(QPointF(float(self._seconds[index]), 0.0))
-        return QPointF(self.plot_widget.mapFromScene(scene))
-
     def _end_s(self) -> float:
-        return max(float(self._seconds[-1]), 1e-3)
+        return max(float(self.seconds[-1]), 1e-3)
 
     def _limit(self) -> None:
         end_s = self._end_s()
-        shortest_s = end_s * min(1.0, _MIN_FRAMES / len(self._seconds))
+        shortest_s = end_s * min(1.0, _MIN_FRAMES / len(self.seconds))
         self._box.setLimits(xMin=0.0, xMax=end_s, minXRange=shortest_s, maxXRange=end_s)
 
     def _choose(self) -> None:
@@ -266,9 +256,9 @@ class TimeStrip(QWidget):
 
     def _draw(self) -> None:
         curve = self.curve
-        shown = self._values.get(curve.key, np.full(len(self._seconds), math.nan))
+        shown = self._values.get(curve.key, np.full(len(self.seconds), math.nan))
         known = np.flatnonzero(self._computed)
-        self._line.setData(self._seconds[known], shown[known])
+        self._line.setData(self.seconds[known], shown[known])
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
         height = 1.0 if curve.key == "iou" or top == 1.0 else 1.08 * top
         axis = self._plot.getAxis("left")
@@ -276,29 +266,29 @@ class TimeStrip(QWidget):
         self._box.setYRange(0.0, height, padding=0)
 
     def _place_cursor(self) -> None:
-        there = 0 <= self._index < len(self._seconds) and not self._live
+        there = 0 <= self._index < len(self.seconds) and not self._live
         self._cursor.setVisible(there)
         if not there:
             return
-        now_s = float(self._seconds[self._index])
+        now_s = float(self.seconds[self._index])
         self._cursor.setValue(now_s)
         (first_s, last_s), _ = self._box.viewRange()
         if not first_s <= now_s <= last_s:
             self._box.setXRange(now_s, now_s + last_s - first_s, padding=0)
 
     def _place_marks(self) -> None:
-        length = len(self._seconds)
+        length = len(self.seconds)
         marked = self._trim is not None and length > 0 and not self._live
         for part in self._outside:
             part.setVisible(marked)
         if self._trim is not None and marked:
             first, last = (min(max(index, 0), length - 1) for index in (self._trim[0], self._trim[1] - 1))
-            self._outside[0].setRegion((0.0, float(self._seconds[first])))
-            self._outside[1].setRegion((float(self._seconds[last]), self._end_s()))
+            self._outside[0].setRegion((0.0, float(self.seconds[first])))
+            self._outside[1].setRegion((float(self.seconds[last]), self._end_s()))
         self._place_cursor()
 
     def _frame_at(self, time_s: float) -> int:
-        return int(np.abs(self._seconds - time_s).argmin())
+        return int(np.abs(self.seconds - time_s).argmin())
 
     def hold(self, held: bool) -> None:
         if not self._live:
@@ -306,26 +296,26 @@ class TimeStrip(QWidget):
             self.held.emit(held)
 
     def seek(self, time_s: float) -> None:
-        if len(self._seconds):
+        if len(self.seconds):
             self._go_to(self._frame_at(time_s))
 
     def step(self, frames: int) -> None:
         """Go some frames on, or back, at most to an end."""
-        self._go_to(min(max(self._index + frames, 0), len(self._seconds) - 1))
+        self._go_to(min(max(self._index + frames, 0), len(self.seconds) - 1))
 
     def _go_to(self, index: int) -> None:
-        if index != self._index and not self._live and len(self._seconds):
+        if index != self._index and not self._live and len(self.seconds):
             self._index = index
             self._place_cursor()
             self.seekRequested.emit(index)
 
     def hover(self, time_s: float) -> None:
-        if not len(self._seconds):
+        if not len(self.seconds):
             return
         index, curve = self._frame_at(time_s), self.curve
         value = float(self._values[curve.key][index]) if curve.key in self._values else math.nan
         known = f"{minus(format_number(value, 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
-        place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
+        place = f"{self.seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
         self._write(f"{place}: {known}")
 
     def show_words(self) -> None:
