@@ -47,7 +47,7 @@ class OptionRow(ParameterRow):
     def show_number(self, value: float) -> None:
         """Show the device's value, unless the slider is being dragged."""
         slider = getattr(self.widget, "slider", None)
-        if slider is None or not slider.is_held():
+        if slider is None or not slider.clock.held:
             self.show_value(self._shown(value))
 
     def _shown(self, value: float) -> Any:

@@ -131,7 +131,7 @@ class SharedWindow:
         window.context.comparison.end()
         window.eyedropper.use("off")
         window.views.back()
-        for key in list(window.messages.keys()):  # a method of Messages, no dict
+        for key in list(window.messages.by_key):
             window.messages.clear(key)
         window.document.new(preset)
         for key in self._remembered(window).keys() | self._settings.keys():

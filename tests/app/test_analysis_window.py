@@ -92,8 +92,8 @@ def test_the_menu_lists_every_tab_with_its_tip_and_free_shortcut(own_window):
     ]
     listed = [action.text() for menu in own_window.menuBar().actions() for action in menu.menu().actions()]
     assert {text for text, _ in texts} <= set(listed)
-    assert own_window.messages.message("shortcut of clash") is not None
-    assert own_window.messages.message("tab worn") is not None
+    assert own_window.messages.by_key.get("shortcut of clash") is not None
+    assert own_window.messages.by_key.get("tab worn") is not None
 
 
 def test_a_tab_that_cannot_be_opened_says_why_and_leaves_the_others_alone(qtbot, own_window):

@@ -196,7 +196,7 @@ def test_a_shipped_preset_is_saved_under_a_name_of_ones_own(window, qtbot):
 
 
 def offer(window):
-    message = window.messages.message("recovery")
+    message = window.messages.by_key.get("recovery")
     assert message is not None
     return message
 
@@ -220,7 +220,7 @@ def test_after_a_crash_unsaved_work_is_offered_and_restored(crashed, own_window,
     assert own_window.document.preset.tolerance.t == 0.0123
     assert own_window.document.dirty
     qtbot.waitUntil(lambda: not crashed.exists())
-    assert own_window.messages.message("recovery") is None
+    assert own_window.messages.by_key.get("recovery") is None
     qtbot.waitUntil(own_window.autosave.file.exists)
 
 

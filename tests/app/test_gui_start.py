@@ -82,10 +82,10 @@ def test_what_is_not_there_any_more_is_said_with_a_way_on(start, recording, tmp_
     own.unlink()
     (tmp_path / "recording").rename(tmp_path / "elsewhere")
     again = start()
-    qtbot.waitUntil(lambda: again.messages.message("source") is not None)
-    assert again.messages.message("file") is not None
+    qtbot.waitUntil(lambda: again.messages.by_key.get("source") is not None)
+    assert again.messages.by_key.get("file") is not None
     (tmp_path / "elsewhere").rename(tmp_path / "recording")
-    press(again.messages.message("source"), "Try again")
+    press(again.messages.by_key.get("source"), "Try again")
     qtbot.waitUntil(lambda: again.result is not None)
 
 

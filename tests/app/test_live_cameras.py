@@ -182,5 +182,5 @@ def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
     cameras.release()
     show_source(qtbot, window, cameras)
     window.document.edit("cameras.tactile_delay_s", 0.1)
-    press(window.messages.message("cameras"), "Open again")
+    press(window.messages.by_key.get("cameras"), "Open again")
     assert window.opened_names == ["cameras:"]

@@ -44,14 +44,14 @@ def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_sho
     with monkeypatch.context() as broken:
         broken.setattr(FrameProcessor, "process", lambda *_, **__: tried.append(1) or 1 / 0)
         cameras.release()
-        qtbot.waitUntil(lambda: window.messages.message("worker") is not None)
+        qtbot.waitUntil(lambda: window.messages.by_key.get("worker") is not None)
         for count in (2, 3, 4):
             cameras.release()
             qtbot.waitUntil(lambda count=count: len(tried) >= count)
         assert len(said) == 1
     cameras.release()
     qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1)
-    qtbot.waitUntil(lambda: window.messages.message("worker") is None)
+    qtbot.waitUntil(lambda: window.messages.by_key.get("worker") is None)
 
 
 def test_pausing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras, qtbot):

@@ -85,22 +85,22 @@ def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
 def test_another_rig_warns_once_and_can_be_put_away(window, qtbot, preset):
     window.document.new(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
     show_source(qtbot, window, FakeSource(length=4))
-    qtbot.waitUntil(lambda: window.messages.message("rig") is not None)
-    assert "p9" in window.messages.message("rig").sentence
+    qtbot.waitUntil(lambda: window.messages.by_key.get("rig") is not None)
+    assert "p9" in window.messages.by_key["rig"].sentence
     window.messages.clear("rig")
     processed = window.result.processed
     qtbot.waitUntil(lambda: window.result.processed > processed + 2)
-    assert window.messages.message("rig") is None
+    assert window.messages.by_key.get("rig") is None
 
 
 def test_a_preset_of_another_size_says_so_and_shows_the_cameras(window, qtbot, preset):
     window.document.new(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
     show_source(qtbot, window, FakeSource(length=1))
-    assert "32 x 24" in window.messages.message("problem").sentence
+    assert "32 x 24" in window.messages.by_key["problem"].sentence
     assert window.views.views[CloudName.PROXIMITY].point_count() > 0
     window.document.new(preset)
     qtbot.waitUntil(lambda: window.result.patch is not None)
-    assert window.messages.message("problem") is None
+    assert window.messages.by_key.get("problem") is None
 
 
 def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbot):
@@ -133,9 +133,9 @@ def test_an_error_in_a_slot_is_shown_and_passed_on(window, qtbot):
         window.error_hook.remove()
         window.error_hook.install()
         QTimer.singleShot(0, broken)
-        qtbot.waitUntil(lambda: window.messages.message("defect") is not None)
+        qtbot.waitUntil(lambda: window.messages.by_key.get("defect") is not None)
     window.error_hook.remove()
-    assert "the membrane burst" in window.messages.message("defect").sentence
+    assert "the membrane burst" in window.messages.by_key["defect"].sentence
     assert [str(error) for _, error, _ in raised] == ["the membrane burst"]
 
 

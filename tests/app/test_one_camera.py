@@ -48,7 +48,7 @@ def test_the_button_in_the_empty_view_chooses_pressure_and_one_undo_takes_it_bac
     qtbot.waitUntil(lambda: window.result.patch is not None and len(window.result.patch.points) > 0)
     assert window.document.preset.contact_test == "pressure"
     assert window.result.patch.pressure.force_mm2[2] < -1000
-    assert window.messages.message("problem") is None
+    assert window.messages.by_key.get("problem") is None
     window.worker.seek(0)
     qtbot.waitUntil(lambda: window.result.frame.sequence == 0 and len(window.result.patch.points) == 0)
     window.document.undo_stack.undo()

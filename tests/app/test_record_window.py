@@ -38,7 +38,7 @@ def end(window, qtbot):
 
 
 def told(window):
-    message = window.messages.message("recording")
+    message = window.messages.by_key.get("recording")
     return "" if message is None else message.sentence
 
 
@@ -75,7 +75,7 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     assert told(window).startswith(f"Recorded {path.name}: ")
     assert "40 frames" in told(window)
     assert window.settings.recent("sources")[0] == f"mcap:{path}"
-    press(window.messages.message("recording"), "Open recording")
+    press(window.messages.by_key.get("recording"), "Open recording")
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 40)
 
 

@@ -56,10 +56,10 @@ def test_rows_are_exported_removed_and_brought_back(qtbot, window, tmp_path):
     before = dict(tab.rows)
     QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
     assert not tab.rows and not tab.export.isEnabled()
-    press(tab.messages.message("reset"), "Bring it back")
+    press(tab.messages.by_key.get("reset"), "Bring it back")
     assert tab.rows == before
     tab.save_to(tmp_path / "tilt.csv")
-    qtbot.waitUntil(lambda: tab.messages.message("done") is not None)
+    qtbot.waitUntil(lambda: tab.messages.by_key.get("done") is not None)
     with (tmp_path / "tilt.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["frame"] for row in rows] == ["3", "4"]

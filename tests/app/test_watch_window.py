@@ -76,18 +76,18 @@ def look(qtbot, window, cameras, count):
 def test_a_moved_camera_is_told_and_its_buttons_mend_and_show_it(window, moving, qtbot):
     look(qtbot, window, moving, 1)
     assert window.watch.first.state == "good"
-    note = window.messages.message(KEY).sentence
+    note = window.messages.by_key[KEY].sentence
     assert "Still good" in note and " px, membrane moved by " in note
     look(qtbot, window, moving, 2)
     moving.move()
     look(qtbot, window, moving, LOOKS - 1)
-    assert window.messages.message(KEY).sentence == note
+    assert window.messages.by_key[KEY].sentence == note
     look(qtbot, window, moving, 1)
-    message = window.messages.message(KEY)
+    message = window.messages.by_key.get(KEY)
     assert "The tactile camera has moved by 2.0 mm" in message.sentence
     assert {"Calibrate…", "Capture untouched frame…"} <= {button.text() for button in message.findChildren(QPushButton)}
     press(message, "Show…")
-    assert window.messages.message(KEY) is None
+    assert window.messages.by_key.get(KEY) is None
     shown = window.watch.window
     qtbot.waitUntil(lambda: shown.isVisible() and shown.found is not None and shown.found.state == "drifted")
     assert "The tactile camera has moved" in shown.sentence.text()
@@ -104,7 +104,7 @@ def test_a_camera_that_moved_overnight_is_told_after_the_first_looks(window, qtb
     show_source(qtbot, window, cameras)
     look(qtbot, window, cameras, LOOKS)
     assert window.watch.first.state == "drifted"
-    assert "The tactile camera has moved by 2.0 mm" in window.messages.message(KEY).sentence
+    assert "The tactile camera has moved by 2.0 mm" in window.messages.by_key[KEY].sentence
 
 
 def test_it_is_switched_off_and_stays_off(window, moving, make_window, qtbot):
@@ -114,6 +114,6 @@ def test_it_is_switched_off_and_stays_off(window, moving, make_window, qtbot):
     assert not action.isChecked()
     moving.move()
     look(qtbot, window, moving, LOOKS)
-    assert window.messages.message(KEY) is None
+    assert window.messages.by_key.get(KEY) is None
     window.close_without_asking()
     assert not make_window().actions_.watch_drift.isChecked()

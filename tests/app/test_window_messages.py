@@ -16,7 +16,7 @@ def fail_to_open(window, qtbot):
         raise SourceError("bag:/x.bag: damaged")
 
     window.open_request(SourceRequest("bag:/x.bag", broken))
-    qtbot.waitUntil(lambda: window.messages.message("source") is not None)
+    qtbot.waitUntil(lambda: window.messages.by_key.get("source") is not None)
 
 
 def other_source(window, qtbot, name):
@@ -31,12 +31,12 @@ def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording_or_a_c
     window.settings.set("folder/recordings", str(tmp_path / "recordings"))
     QTest.keyClick(window, Qt.Key.Key_F9)
     qtbot.waitUntil(lambda: window.recording.running)
-    assert window.messages.message("source") is None
+    assert window.messages.by_key.get("source") is None
     QTest.keyClick(window, Qt.Key.Key_F9)
     qtbot.waitUntil(lambda: not window.recording.running)
     fail_to_open(window, qtbot)
     QTest.keyClick(window, Qt.Key.Key_K, Qt.KeyboardModifier.ControlModifier)
-    assert window.calibration.wizard.isVisible() and window.messages.message("source") is None
+    assert window.calibration.wizard.isVisible() and window.messages.by_key.get("source") is None
 
 
 def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, qtbot):

@@ -40,7 +40,7 @@ def test_messages_push_nothing_aside_and_stay_inside(views):
     QApplication.processEvents()
     assert (views.over.geometry(), views.below.geometry()) == before
     assert views.over.rect().contains(views.messages.geometry())
-    for message in map(views.messages.message, "abcde"):
+    for message in map(views.messages.by_key.get, "abcde"):
         assert not message.isVisible() or message.height() >= message.heightForWidth(message.width())
 
 
@@ -49,7 +49,7 @@ def test_the_newest_three_are_on_the_screen_the_newest_on_top_and_errors_before_
     for key in "abc":
         views.messages.show_message(key, Severity.INFO, f"{key}.")
     QApplication.processEvents()
-    shown = {key: views.messages.message(key) for key in ("error", "a", "b", "c")}
+    shown = {key: views.messages.by_key.get(key) for key in ("error", "a", "b", "c")}
     assert [key for key, message in shown.items() if message.isVisible()] == ["error", "b", "c"]
     assert shown["c"].y() < shown["b"].y() < shown["error"].y()
 
@@ -72,6 +72,6 @@ def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(view
     assert views.messages.focus_newest()
     QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Escape)
     assert views.messages.sentences() == ["cross"]
-    [cross] = views.messages.message("cross").findChildren(QToolButton)
+    [cross] = views.messages.by_key["cross"].findChildren(QToolButton)
     QTest.mouseClick(cross, LEFT, pos=QPoint(4, 4))
     assert views.messages.sentences() == [] and not views.messages.isVisible()

@@ -20,26 +20,22 @@ class GestureClock:
     """Assigns edits of a widget to gestures."""
 
     def __init__(self) -> None:
+        self.held = False  # a mouse button is down
         self._number = 0
-        self._held = False
         self._last_s = 0.0
 
     def hold(self) -> None:
         self._number = new_gesture()
-        self._held = True
+        self.held = True
 
     def release(self) -> None:
         """End the drag, or the burst of keys; the next edit is another gesture."""
-        self._held = False
+        self.held = False
         self._number = 0
-
-    @property
-    def held(self) -> bool:
-        return self._held
 
     def number(self) -> int:
         now_s = time.monotonic()
-        if not self._held and (self._number == 0 or now_s - self._last_s > BURST_S):
+        if not self.held and (self._number == 0 or now_s - self._last_s > BURST_S):
             self._number = new_gesture()
         self._last_s = now_s
         return self._number

@@ -151,7 +151,7 @@ class Messages(QWidget):
     def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0, room_px: int = 0) -> None:
         super().__init__(over)
         self._over, self._free, self._room_px = over, free, room_px
-        self._messages: dict[str, Message] = {}
+        self.by_key: dict[str, Message] = {}
         self._pinned: list[QFrame] = []
         over.installEventFilter(self)
         self.hide()
@@ -169,12 +169,12 @@ class Messages(QWidget):
 
         ``details`` are shown on request, such as a traceback; ``subject`` is for `clear_subject`.
         """
-        old = self._messages.get(key)
+        old = self.by_key.get(key)
         if old is not None and old.sentence == sentence:
             old.run()
             return
         self._remove(key)
-        self._messages[key] = Message(severity, sentence, details, subject, offers, lambda: self._dismiss(key), self)
+        self.by_key[key] = Message(severity, sentence, details, subject, offers, lambda: self._dismiss(key), self)
         self.arrange()
         self.setAccessibleName(f"{severity}: {sentence}")  # PyQt has no call that announces; a changed name is reported
 
@@ -190,7 +190,7 @@ class Messages(QWidget):
 
     def clear_subject(self, subject: str) -> None:
         """Dismiss the messages of a subject, because what they speak of is no longer there."""
-        for key in [key for key, message in self._messages.items() if message.subject == subject]:
+        for key in [key for key, message in self.by_key.items() if message.subject == subject]:
             self._remove(key)
         self.arrange()
 
@@ -204,7 +204,7 @@ class Messages(QWidget):
         """Give the message on top the focus, on its first button; return whether there is one."""
         shown = self._shown()
         if shown:
-            message = self._messages[shown[0]]
+            message = self.by_key[shown[0]]
             buttons = [*message.findChildren(QPushButton), *message.findChildren(QToolButton)]
             buttons[0].setFocus(Qt.FocusReason.ShortcutFocusReason)
         return bool(shown)
@@ -227,13 +227,7 @@ class Messages(QWidget):
         self.arrange()
 
     def sentences(self) -> list[str]:
-        return [message.sentence for message in self._messages.values()]
-
-    def keys(self) -> list[str]:
-        return list(self._messages)
-
-    def message(self, key: str) -> Message | None:
-        return self._messages.get(key)
+        return [message.sentence for message in self.by_key.values()]
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         if not self.__dict__:  # Python has cleared a closed window, Qt still hides its parts
@@ -249,24 +243,24 @@ class Messages(QWidget):
         return super().event(event)
 
     def _shown(self) -> list[str]:
-        return [key for key in reversed(self._messages) if not self._messages[key].isHidden()]
+        return [key for key in reversed(self.by_key) if not self.by_key[key].isHidden()]
 
     def _dismiss(self, key: str) -> None:
-        message = self._messages.get(key)
+        message = self.by_key.get(key)
         focus = QApplication.focusWidget()
         if message is not None and focus is not None and message.isAncestorOf(focus):
             self._over.setFocus()
         self.clear(key)
 
     def _remove(self, key: str) -> None:
-        message = self._messages.pop(key, None)
+        message = self.by_key.pop(key, None)
         if message is not None:
             message.hide()
             message.deleteLater()
 
     def arrange(self) -> None:
         """Show as many messages as there is room for, at the lower left."""
-        newest = list(reversed(self._messages.values()))
+        newest = list(reversed(self.by_key.values()))
         pinned = [frame for frame in self._pinned if not frame.isHidden()]
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
         line = 0 if self._room_px else _LINE_PX

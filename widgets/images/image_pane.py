@@ -7,7 +7,7 @@ from typing import Any
 
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QKeyEvent, QPainter
+from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPalette
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
@@ -139,7 +139,8 @@ class ImagePane(QWidget):
         self._size = (640, 480)
         self.title, self.legend = ElidedLabel(title), LegendLine()
         self.legend.hide()
-        self.view = _View()
+        self.view = _View(background=None)
+        self.view.viewport().setBackgroundRole(QPalette.ColorRole.Window)
         self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.view.setAccessibleName(title)
         self.view.setMinimumSize(80, 60)
@@ -165,7 +166,6 @@ class ImagePane(QWidget):
         self.wipe_line.shareDragged.connect(self.wipeDragged)
         self.box.sigRangeChangedManually.connect(lambda *_: self.viewMoved.emit())
         self.box.sigResized.connect(lambda *_: self.resized.emit())
-        self._recolor()
 
     def set_pixels(
         self, pixels: Uint8Array | None, size: tuple[int, int], stride: int, right: Uint8Array | None = None
@@ -211,19 +211,11 @@ class ImagePane(QWidget):
         width = self.box.viewRect().width()
         return float(self.box.width() * self.devicePixelRatioF() / width) if width > 0 else 1.0
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
     def _range_changed(self, *_: object) -> None:
         if self.wipe_line.isVisible():
             self.wipe_line.set_share(self.wipe_line.share)
             self._pixels.set_split(self.wipe_line.value())
         self.viewChanged.emit(self.box.viewRect())
-
-    def _recolor(self) -> None:
-        self.view.setBackground(theme_colors().window)
 
     def _pixel_at(self, scene_position: QPointF) -> tuple[int, int]:
         point = self.box.mapSceneToView(scene_position)

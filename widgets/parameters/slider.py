@@ -80,9 +80,8 @@ class Slider(QWidget):
         self._values: Values = (scale.low, scale.high)[:handles]
         self._colors: list[QColor] = []
         self._active = 0
-        self._gripped = False
         self._grip_px = 0.0  # from the handle's centre to the mouse
-        self._clock = GestureClock()
+        self.clock = GestureClock()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
@@ -99,9 +98,6 @@ class Slider(QWidget):
         if list(colors) != self._colors:
             self._colors = list(colors)
             self.update()
-
-    def is_held(self) -> bool:
-        return self._gripped
 
     def wrapped(self) -> bool:
         return self._wraps and self._values[0] > self._values[-1]
@@ -126,22 +122,21 @@ class Slider(QWidget):
         if event is None or event.button() != Qt.MouseButton.LeftButton:
             return
         x = event.position().x()
-        self._active, self._gripped = self._nearer_handle(x), True
+        self._active = self._nearer_handle(x)
         self._grip_px = x - self.handle_x(self._active)
         if abs(self._grip_px) > _REACH:
             self._grip_px = 0.0
-        self._clock.hold()
+        self.clock.hold()
         self._drag_to(x)
         self.update()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        if event is not None and self._gripped:
+        if event is not None and self.clock.held:
             self._drag_to(event.position().x())
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
-            self._gripped = False
-            self._clock.release()
+            self.clock.release()
             self.update()
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
@@ -168,7 +163,7 @@ class Slider(QWidget):
         target = self._active + (1 if forward else -1)
         if 0 <= target < len(self._values):
             self._active = target
-            self._clock.release()
+            self.clock.release()
             self.update()
             return True
         return super().focusNextPrevChild(forward)
@@ -181,7 +176,7 @@ class Slider(QWidget):
         super().focusInEvent(event)
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        self._clock.release()
+        self.clock.release()
         super().focusOutEvent(event)
 
     # Moving
@@ -217,7 +212,7 @@ class Slider(QWidget):
         if values != self._values:
             self._values = values
             self.update()
-            self.edited.emit(values, self._clock.number())
+            self.edited.emit(values, self.clock.number())
 
     # Painting
 
@@ -259,7 +254,7 @@ class Slider(QWidget):
             painter.drawRoundedRect(span(*ends), corner, corner)
         painter.setPen(QPen(accent, 2.0))
         for handle in range(len(self._values)):
-            lit = enabled and handle == self._active and (self._gripped or self.hasFocus())
+            lit = enabled and handle == self._active and (self.clock.held or self.hasFocus())
             painter.setBrush(QColor(colors.accent if lit else colors.knob if enabled else colors.button))
             painter.drawEllipse(QPointF(self.handle_x(handle), centre), _RADIUS, _RADIUS)
         painter.end()

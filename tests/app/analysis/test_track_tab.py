@@ -58,7 +58,7 @@ def tab(qtbot, make_window, source, cup_file):
 def test_a_mesh_is_opened_refused_or_taken_from_the_simulator(qtbot, tab, source, tmp_path):
     model = tab.model
     assert np.ptp(model.mesh.vertices_m[:, 0]) == pytest.approx(0.107, abs=0.002)
-    assert "107 x 92 x 74 mm" in tab.messages.message("mesh").sentence
+    assert "107 x 92 x 74 mm" in tab.messages.by_key["mesh"].sentence
     (tmp_path / "broken.stl").write_text("no mesh", encoding="ascii")
     tab.open_mesh(tmp_path / "broken.stl")
     qtbot.waitUntil(lambda: any("roken.stl" in sentence for sentence in tab.messages.sentences()))
@@ -85,7 +85,7 @@ def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, sou
     assert "mm" in tab.pose.text() and "±" in tab.pose.text()
     QTest.mouseClick(tab.export, LEFT)
     type_path(qtbot, tmp_path / "poses.csv")
-    qtbot.waitUntil(lambda: tab.messages.message("done") is not None)
+    qtbot.waitUntil(lambda: tab.messages.by_key.get("done") is not None)
     rows = list(csv.DictReader((tmp_path / "poses.csv").read_text(encoding="utf-8").splitlines()))
     assert [int(row["sequence"]) for row in rows] == [PRESSED - 1, PRESSED, PRESSED + 1]
     assert float(rows[-1]["position_error_mm"]) < 2

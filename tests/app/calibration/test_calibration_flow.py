@@ -189,7 +189,7 @@ def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, fra
 
     again = open_wizard()
     assert again.stack.currentIndex() == 0, "the page on which snapshots of this source are taken"
-    sentence = again.messages.message("kept").sentence
+    sentence = again.messages.by_key["kept"].sentence
     assert "calibration of tiny" in sentence and "other is open now" in sentence
     assert again.frames.list.item(0).text().endswith("tiny")
 

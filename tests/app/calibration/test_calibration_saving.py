@@ -79,10 +79,10 @@ def test_a_file_that_was_not_saved_is_said_and_saved_later(open_wizard, scene, f
     wizard = open_wizard()
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
     QTest.keyClick(wizard, Qt.Key.Key_S, CONTROL)  # nobody answers the request, as if the dialog were cancelled
-    assert "file is not saved yet" in wizard.messages.message("saved").sentence
+    assert "file is not saved yet" in wizard.messages.by_key["saved"].sentence
     feed.context.saveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
-    press(wizard.messages.message("saved"), "Save preset")
+    press(wizard.messages.by_key.get("saved"), "Save preset")
     assert not document.dirty
-    assert "tiny.json" in wizard.messages.message("saved").sentence
+    assert "tiny.json" in wizard.messages.by_key["saved"].sentence
     assert load_preset(tmp_path / "tiny.json").alignment.calibration is not None
     assert wizard.steps.button(SAVE).text().endswith("✓")

@@ -85,7 +85,7 @@ def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window,
     shutil.copy(window.autosave.file, window.context.data_folder / "unsaved-0.json")  # as of a window that has died
     after = make_window()
     after.file_flows.offer_unsaved_work()
-    press(after.messages.message("recovery"), "Restore")
+    press(after.messages.by_key.get("recovery"), "Restore")
     assert after.document.preset.untouched == record
     after.document.save(tmp_path / "rescued.json")
     assert kept_beside(tmp_path / "rescued.json").any()
@@ -99,8 +99,8 @@ def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qt
     with SessionWriter(tmp_path / "both.mcap", RIG, preset=recorded, untouched=frame) as writer:
         writer.put(frame, wait=True)
     window.open_source(f"mcap:{tmp_path / 'both.mcap'}")
-    qtbot.waitUntil(lambda: window.messages.message("recorded preset") is not None)
-    press(window.messages.message("recorded preset"), "Use them")
+    qtbot.waitUntil(lambda: window.messages.by_key.get("recorded preset") is not None)
+    press(window.messages.by_key.get("recorded preset"), "Use them")
     qtbot.waitUntil(lambda: window.untouched.frame is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()

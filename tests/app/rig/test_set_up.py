@@ -72,7 +72,7 @@ def test_a_bias_that_prints_tell_still_asks_for_the_press_that_is_judged(qtbot, 
 def test_without_a_source_it_looks_for_cameras_and_says_that_there_are_none(qtbot, set_up):
     click(set_up.start)
     qtbot.waitUntil(lambda: not set_up.running, timeout=60_000)
-    assert set_up.window_.messages.message("source") is not None
+    assert set_up.window_.messages.by_key.get("source") is not None
     assert set_up.source.mark.text() == "○" and set_up.headline.text() == "Next: source."
 
 
