@@ -151,7 +151,7 @@ class Study:
         with _experimental():
             self._study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
         for trial in self._study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # of a search that was ended
-            self._study.tell(trial.number, state=TrialState.FAIL)
+            self._end(trial.number, *trial.user_attrs.get("measured", ({}, "the search ended")))
         points = [self._present] if all(axis.holds(self._present[axis.path]) for axis in self.plan.axes) else []
         if self.plan.grid:
             points = grid_of(self.plan.axes)
@@ -168,13 +168,16 @@ class Study:
         undefined = [name for name in self.plan.objectives if name not in figures]
         if undefined and not failure:
             failure = f"{undefined[0]} is undefined on these frames"
-        trial.set_user_attr("measured", (figures, failure))
-        if failure:
-            self._study.tell(trial, state=TrialState.FAIL)
-            return
-        if not figures["points"]:
+        if not failure and not figures["points"]:
             trial.set_constraint("contact found", 1.0)
-        self._study.tell(trial, [figures[name] for name in self.plan.objectives])
+        trial.set_user_attr("measured", (figures, failure))
+        self._end(trial.number, figures, failure)
+
+    def _end(self, number: int, figures: dict[str, float], failure: str) -> None:
+        if failure:
+            self._study.tell(number, state=TrialState.FAIL)
+        else:
+            self._study.tell(number, [figures[name] for name in self.plan.objectives])
 
     def _values(self, params: dict[str, Any]) -> dict[str, Any]:
         """Return the fields' values for Optuna's parameters."""

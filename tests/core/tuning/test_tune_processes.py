@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from long_search import LIMIT_S, POINTS, front_of, trials_of
+from long_search import LIMIT_S, POINTS, front_of, lines_of, trials_of
 from tactune.core.tuning.measure import local_workers
 
 
@@ -53,6 +53,16 @@ def test_a_line_that_a_crash_cut_off_is_dropped(tune, recording, tmp_path):
         file.write('{"op_code":4,"worker')
     assert len(first) == 4 and trials_of(tune(*words).out) == first
     assert all(json.loads(line) for line in journal.read_text().splitlines())
+
+
+def test_a_trial_that_was_measured_but_not_ended_when_its_search_was_killed_counts(long_search, tune):
+    words = (*long_search.words, "--study", long_search.file)
+    out = tune(*words).out
+    lines = long_search.file.read_text().splitlines(keepends=True)
+    ends = {json.loads(line)["trial_id"]: line for line in lines if '"op_code":6' in line and '"state":1' in line}
+    lost = {ends[number] for number in [line for line in lines_of(out) if "front" in line][-1]["front"]}
+    long_search.file.write_text("".join(line for line in lines if line not in lost))
+    assert front_of(tune(*words).out) == front_of(out)
 
 
 def wait_for_the_end_of(session):
