@@ -5,8 +5,8 @@ nearest: it is farther than the four planes through the camera centre along the 
 row, also with lens distortion (`grid.side_planes`). Sixteen neighbouring pixels are searched together (`row_search`),
 those at edges one by one (`point_search`), the rest against all points. Counting below a threshold and interpolating
 encloses the k-th distance. Each float32 mean is within 4 x 2^-24 of the exact one, which bounds the error of the
-threshold. Only if a point lies within that margin are the means computed in float64, and only if that is uncertain too,
-by a k-d tree with Open3D's bits.
+threshold. Only if a point lies within that margin, which is rare, are the means computed by a k-d tree, with Open3D's
+bits.
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ from .row_search import search_rows
 #: Bound of the relative error of a float32 mean: distances differ by at most 3 units in the last place from the exact
 #: ones (differences exact to half a unit, squares and sums, root).
 UNCERTAINTY = 4 * 2.0**-24
-#: The same for means of float64 distances; covers the order of Open3D's sums, too.
-PRECISE_UNCERTAINTY = 1e-9
 #: Means below this may come from squares that float32 cannot represent, metres.
 _MIN_MEAN_M = 1e-12
 
@@ -62,10 +60,9 @@ def statistical_inliers(points: Float32Array, pixels: IndexArray, grid: Grid, k:
         return np.zeros(0, np.bool_)
     k = min(k, len(points))
     if len(points) > _FEW_POINTS and k > 1:
-        for means_of, uncertainty in ((near_means, UNCERTAINTY), (precise_means, PRECISE_UNCERTAINTY)):
-            inliers = surely_below_threshold(means_of(points, pixels, grid, k), ratio, uncertainty)
-            if inliers is not None:
-                return inliers
+        inliers = surely_below_threshold(near_means(points, pixels, grid, k), ratio)
+        if inliers is not None:
+            return inliers
     return below_threshold(exact_means(points, k), ratio)
 
 
@@ -105,23 +102,6 @@ def near_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int) -> 
     return means
 
 
-def precise_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int) -> Float64Array:
-    """Return the means of `near_means` with a relative error of at most `PRECISE_UNCERTAINTY`."""
-    means = np.full(len(points), np.nan)
-    try:
-        if grid.lay(points, pixels):
-            in_parallel(
-                lambda first, last: search_rows(grid.runs[first:last], grid.planes, k, True, means),
-                len(grid.runs), _RUNS,
-            )  # fmt: skip
-    finally:
-        grid.clear(pixels)
-    left = np.flatnonzero(np.isnan(means))
-    if len(left):
-        means[left] = exact_means(points, k, left)
-    return means
-
-
 def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Float64Array) -> None:
     """Write the mean distance of the points numbered in ``left`` to their k nearest, comparing with every point."""
     planes = (scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
@@ -138,7 +118,7 @@ def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Floa
 
 def _search(grid: Grid, cloud: Cloud, k: int, radius: int, means: Float64Array, first: int, last: int) -> None:
     """Search the points of the runs ``first`` to ``last - 1`` together, then one by one those that are left open."""
-    search_rows(grid.runs[first:last], grid.planes, k, False, means)
+    search_rows(grid.runs[first:last], grid.planes, k, means)
     end = grid.runs[last, NUMBER] if last < len(grid.runs) else len(cloud.points)
     search_points(cloud, grid.runs[first, NUMBER], end, grid.planes, k, radius, means)
 
@@ -161,14 +141,14 @@ def below_threshold(means: Float64Array, ratio: float) -> BoolArray:
     return np.asarray(positive & (means < mean + ratio * np.sqrt(squares / (count - 1))))
 
 
-def surely_below_threshold(means: Float64Array, ratio: float, uncertainty: float) -> BoolArray | None:
+def surely_below_threshold(means: Float64Array, ratio: float) -> BoolArray | None:
     """Return which means are below the threshold of the exact means; None if that is uncertain.
 
-    If every mean has a relative error of at most ``uncertainty``, so has the mean of all. The standard deviation is a
+    If every mean has a relative error of at most `UNCERTAINTY`, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
     inliers = np.empty(len(means), np.bool_)
-    return inliers if _compare(means, means.mean(), ratio, uncertainty, inliers) else None
+    return inliers if _compare(means, means.mean(), ratio, UNCERTAINTY, inliers) else None
 
 
 @kernel

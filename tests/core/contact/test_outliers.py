@@ -11,7 +11,6 @@ from tactune.core.contact.outliers.statistical import (
     below_threshold,
     exact_means,
     near_means,
-    precise_means,
     statistical_inliers,
 )
 from tactune.core.model.clouds import deproject
@@ -62,24 +61,19 @@ def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
         return
     k = min(k, len(points))
     exact = exact_means(points, k)
-    near, precise = (means(points, pixels, grid, k) for means in (near_means, precise_means))
-    assert np.abs(near / exact - 1).max() <= statistical.UNCERTAINTY
-    assert np.abs(precise / exact - 1).max() <= statistical.PRECISE_UNCERTAINTY / 100
+    assert np.abs(near_means(points, pixels, grid, k) / exact - 1).max() <= statistical.UNCERTAINTY
 
 
-def test_a_point_too_near_to_the_threshold_is_decided_in_float64_and_then_exactly(monkeypatch):
+def test_a_point_too_near_to_the_threshold_is_decided_exactly(monkeypatch):
     points, pixels, grid = scene(5, 80, 60, 0.9, 0.001)
     wanted = open3d_inliers(points, 20, 2.0)
     exact = exact_means(points, 20)
     nearest = np.abs(exact / (exact.mean() + 2.0 * exact.std(ddof=1)) - 1).min()
     assert nearest > 10 * statistical.UNCERTAINTY
     calls = []
-    monkeypatch.setattr(statistical, "precise_means", lambda *a: calls.append("precise") or precise_means(*a))
     monkeypatch.setattr(statistical, "below_threshold", lambda *a: calls.append("exact") or below_threshold(*a))
-    for name, expected in (("", []), ("UNCERTAINTY", ["precise"]), ("PRECISE_UNCERTAINTY", ["precise", "exact"])):
-        if name:
-            monkeypatch.setattr(statistical, name, nearest)
-        calls.clear()
+    for uncertainty, expected in ((statistical.UNCERTAINTY, []), (nearest, ["exact"])):
+        monkeypatch.setattr(statistical, "UNCERTAINTY", uncertainty)
         assert np.array_equal(statistical_inliers(points, pixels, grid, 20, 2.0), wanted)
         assert calls == expected
 
