@@ -6,7 +6,7 @@ whose steps call the kernels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ..model.frames import Rig, SensorFrame
@@ -131,7 +131,9 @@ class ContactPipeline:
         due.finish()
         doubt_of = Judge(test.pixels, self.cameras_moved).doubts(frame, self.preset, found.membrane, found.pressure)
         if memory.patch is not None and not due.stale:
-            return memory.patch.again(frame.sequence, due.ms, (UNCHANGED,), doubt_of)
+            return replace(
+                memory.patch, sequence=frame.sequence, stage_ms=due.ms, skipped=(UNCHANGED,), doubt_of=doubt_of
+            )
         memory.patch = ContactPatch(
             frame.sequence,
             found.contact.points,
@@ -140,7 +142,7 @@ class ContactPipeline:
             self.rig,
             due.ms,
             found.skipped,
-            mask=Lazy(lambda: found.contact.mask(self.rig.proximity.intrinsics.shape)),
+            made_mask=Lazy(lambda: found.contact.mask(self.rig.proximity.intrinsics.shape)),
             averaged_frames=self._average.count if self._average is not None else 1,
             membrane=found.membrane,
             pressure=found.pressure,

@@ -105,7 +105,7 @@ def rival_patch(
     verdicts = Lazy(lambda: np.where(known.get(), Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8))
     nothing = np.full(shape, np.nan, np.float32)
     return ContactPatch(
-        frame.sequence, points, verdicts, AlignedDepth(nothing, nothing), rig, {}, mask=known, pressure=pressure
+        frame.sequence, points, verdicts, AlignedDepth(nothing, nothing), rig, {}, made_mask=known, pressure=pressure
     )
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Final
 
 import cv2
@@ -46,6 +47,8 @@ _LEAST_STRAIN, _MOST_STRAIN = -0.5, 2.0
 _TILE_PX, _MOVED_SIGMAS, _MOVED_FACTOR = 32, 6.0, 2.0
 
 Cell = tuple[int, int]
+#: Where a dot is in the grid: piece, row and column. Steep walls may cut the grid into pieces with rows of their own.
+Place = tuple[int, int, int]
 #: Largest distance of a dot from its predicted place, in lattice steps.
 _REACH: Final = 0.38
 #: Expected places of a seed's neighbours, in lattice steps, and the largest distance from them. Dots that are not
@@ -100,9 +103,9 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     depth_m = _smooth_depth_m(frame, rig.tactile)
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth; check the tactile camera and its range")
-    pixels, lattice = _find_grid(frame, depth_m, rig.tactile)
+    pixels, places = _find_grid(frame, depth_m, rig.tactile)
     points_m = _lift(pixels, depth_m, rig.tactile)
-    axes = [_axis_strain(lattice, axis, points_m, spacing_m) for axis in (1, 0)]
+    axes = [_axis_strain(places, step, points_m, spacing_m) for step in ((0, 1), (1, 0))]
     for axis, name in zip(axes, ("length", "width"), strict=True):
         if len(axis.pairs) == 0:
             raise StrainError(f"frame {frame.sequence}: no neighbouring dots along the {name} have depth")
@@ -180,11 +183,11 @@ def _lift(pixels: Float64Array, depth_m: Float64Array, camera: DepthCamera) -> F
     return np.column_stack([camera.intrinsics.normalise(pixels), np.ones(len(pixels))]) * depth_m[row, column, None]
 
 
-def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> tuple[Float64Array, DotLattice]:
+def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> tuple[Float64Array, list[Place]]:
     """Return the centroids of the dots that have a place in the grid, and their places."""
     assert frame.tactile_color is not None  # `measure_strain` has checked
     gray = cv2.cvtColor(np.ascontiguousarray(frame.tactile_color), cv2.COLOR_RGB2GRAY)
-    best, most = None, _MIN_DOTS - 1
+    best = np.empty((0, 2)), list[Place]()
     for width_px in _DOT_WIDTHS_PX:
         pixels = _dark_spots(gray, width_px)
         if len(pixels) < _MIN_DOTS:
@@ -195,12 +198,10 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
             x, y, z = points_m[a] - points_m[b]
             return bool(abs(z) < _STEEPEST * math.hypot(x, y))
 
-        lattice = order_dots(pixels, on_one_surface)
-        placed = lattice.piece >= 0
-        if np.count_nonzero(placed) > most:
-            most = int(np.count_nonzero(placed))
-            best = pixels[placed], DotLattice(lattice.cells[placed], lattice.piece[placed])
-    if best is None:
+        found = order_dots(pixels, on_one_surface)
+        if len(found) > len(best[1]):
+            best = pixels[list(found.values())], list(found)
+    if len(best[1]) < _MIN_DOTS:
         raise StrainError(
             f"frame {frame.sequence} shows no grid of dots; the membrane needs dark dots on a bright sheet, sharp and "
             "at least 3 pixels wide"
@@ -223,67 +224,33 @@ def _dark_spots(gray: AnyArray, width_px: int) -> Float64Array:
     return np.column_stack([sum_u[dots] / total[dots], sum_v[dots] / total[dots]])
 
 
-def _axis_strain(lattice: DotLattice, axis: int, points_m: Float64Array, spacing_m: float) -> AxisStrain:
-    """Return the strain of neighbour pairs, each the median over the pairs at most one step away."""
-    pairs = lattice.neighbours(axis)
+def _axis_strain(places: list[Place], step: Cell, points_m: Float64Array, spacing_m: float) -> AxisStrain:
+    """Return the strain of the neighbours one step apart, each the median over the pairs at most one step away."""
+    numbers = {place: number for number, place in enumerate(places)}
+    beside = [numbers.get((piece, row + step[0], column + step[1]), -1) for piece, row, column in places]
+    pairs = np.column_stack([np.arange(len(places)), beside]).astype(np.int64)
+    pairs = pairs[pairs[:, 1] >= 0]
     raw = np.linalg.norm(points_m[pairs[:, 1]] - points_m[pairs[:, 0]], axis=1) / spacing_m - 1.0
     with np.errstate(invalid="ignore"):
         possible = (raw > _LEAST_STRAIN) & (raw < _MOST_STRAIN)
     pairs, raw = pairs[possible], raw[possible]
-    places = np.column_stack([lattice.piece, lattice.cells])[pairs[:, 0]]
-    known = {tuple(place): strain for place, strain in zip(places.tolist(), raw.tolist(), strict=True)}
-    around = [(0, down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
+    known = {places[first]: strain for first, strain in zip(pairs[:, 0], raw.tolist(), strict=True)}
+    around = list(product((-1, 0, 1), repeat=2))
     smooth = [
-        np.median([known[at] for step in around if (at := tuple(place + step)) in known]) for place in places
-    ]  # fmt: skip
+        np.median([known[at] for down, right in around if (at := (piece, row + down, column + right)) in known])
+        for piece, row, column in known
+    ]
     return AxisStrain(pairs, np.array(smooth, np.float64))
 
 
 # Rows and columns: region growing from seeds along local lattice vectors
 
 
-@dataclass
-class DotLattice:
-    """Rows and columns of a grid. Steep walls may cut it into pieces, each with its own row and column numbers."""
-
-    #: (N, 2): row and column of each dot within its piece; (N,): its piece, the largest is 0; -1 for none.
-    cells: Int64Array
-    piece: Int64Array
-
-    def neighbours(self, axis: int) -> Int64Array:
-        """Return the indices of neighbouring dots, (M, 2): along the rows (axis 1) or columns (0)."""
-        places = {
-            (int(piece), int(row), int(column)): number
-            for number, (piece, (row, column)) in enumerate(zip(self.piece, self.cells, strict=True))
-            if piece >= 0
-        }
-        down, right = (1, 0) if axis == 0 else (0, 1)
-        pairs = [
-            (number, places[piece, row + down, column + right])
-            for (piece, row, column), number in places.items()
-            if (piece, row + down, column + right) in places
-        ]
-        return np.array(pairs, np.int64).reshape(-1, 2)
-
-
-@dataclass
-class _Piece:
-    """A growing piece: dot by cell, and cell by dot."""
-
-    dots: dict[Cell, int] = field(default_factory=dict)
-    cells: dict[int, Cell] = field(default_factory=dict)
-
-    def put(self, cell: Cell, dot: int) -> None:
-        self.dots[cell] = dot
-        self.cells[dot] = cell
-
-
-def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotLattice:
-    """Find rows and columns: a piece grows from a dot with symmetric neighbours by the best predicted one."""
-    cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
+def order_dots(pixels: Float64Array, linked: Linked) -> dict[Place, int]:
+    """Return the dots by their places: a piece grows from a dot with symmetric neighbours by the best predicted one."""
     free = np.ones(len(pixels), bool)
-    axes: list[tuple[Float64Array, Float64Array]] = []
-    found: list[_Piece] = []
+    axes: tuple[Float64Array, Float64Array] | None = None  # of the first piece
+    found: dict[Place, int] = {}
     for looked, (steps, reach) in enumerate(_SEEDS):
         left = np.flatnonzero(free)
         if len(left) < _MIN_PIECE or (looked and len(left) > len(pixels) / 2):  # chance alone orders a few spots
@@ -292,16 +259,13 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
         for _, number, right, down in sorted(_seeds(pixels[left], tree, steps, reach), key=lambda entry: entry[0]):
             if not free[left[number]]:
                 continue
-            vectors = _like(axes[0], right, down) if axes else (right, down)
-            grown = _grow(pixels, left, tree, free, linked, int(left[number]), vectors)
-            if len(grown.dots) >= _MIN_PIECE:
-                free[list(grown.cells)] = False
-                axes.append(vectors)
-                found.append(grown)
-    for number, grown in enumerate(sorted(found, key=lambda grown: -len(grown.dots))):
-        for dot, cell in grown.cells.items():
-            cells[dot], piece[dot] = cell, number
-    return DotLattice(cells, piece)
+            vectors = _like(axes, right, down) if axes else (right, down)
+            piece = _grow(pixels, left, tree, free, linked, int(left[number]), vectors)
+            if len(piece) >= _MIN_PIECE:
+                free[list(piece.values())] = False
+                axes = axes or vectors
+                found |= {(int(left[number]), *cell): dot for cell, dot in piece.items()}
+    return found
 
 
 def _seeds(
@@ -349,18 +313,20 @@ def _grow(
     linked: Linked,
     seed: int,
     vectors: tuple[Float64Array, Float64Array],
-) -> _Piece:
+) -> dict[Cell, int]:
     """Grow a piece from a seed, always by the dot nearest to its prediction. ``left`` maps tree indices to dots."""
-    piece = _Piece()
+    piece: dict[Cell, int] = {}
+    taken: set[int] = set()
     waiting: list[tuple[float, int, Cell, int]] = [(0.0, seed, (0, 0), seed)]
     while waiting:
         _, dot, cell, _ = heapq.heappop(waiting)
-        if dot in piece.cells or cell in piece.dots:
+        if dot in taken or cell in piece:
             continue
-        piece.put(cell, dot)
+        piece[cell] = dot
+        taken.add(dot)
         for step in _STEPS:
             beside = cell[0] + step[0], cell[1] + step[1]
-            if beside in piece.dots:
+            if beside in piece:
                 continue
             vector = _vector(pixels, piece, cell, step, vectors)
             gap, number = tree.query(pixels[dot] + vector)
@@ -372,7 +338,7 @@ def _grow(
 
 
 def _vector(
-    pixels: Float64Array, piece: _Piece, cell: Cell, step: Cell, vectors: tuple[Float64Array, Float64Array]
+    pixels: Float64Array, piece: dict[Cell, int], cell: Cell, step: Cell, vectors: tuple[Float64Array, Float64Array]
 ) -> Float64Array:
     """Return the predicted step from a cell to its neighbour: the mean of parallel steps nearby."""
     row, column = cell
@@ -384,8 +350,8 @@ def _vector(
         (row - aside[0], column - aside[1]),
     ):
         end = start[0] + step[0], start[1] + step[1]
-        if start in piece.dots and end in piece.dots:
-            ways.append(pixels[piece.dots[end]] - pixels[piece.dots[start]])
+        if start in piece and end in piece:
+            ways.append(pixels[piece[end]] - pixels[piece[start]])
     if ways:
         return np.asarray(np.mean(ways, axis=0))
     right, down = vectors

@@ -266,18 +266,23 @@ class Found:
     pressure: PressureFacts | None = None
 
 
+@dataclass(eq=False, repr=False)
 class ContactPatch:
     """Where the membrane touches the object, and why every other pixel was dropped.
 
     Provenance, mask and aligned depths are computed from the frame's images when they are first read,
     so these images must not be overwritten while a patch is in use.
 
-    Parameters
+    Attributes
     ----------
     sequence : int
         The frame's number.
-    points, provenance, aligned, mask
-        As the attributes of these names, or `Lazy` but for the points; without a mask it follows from the provenance.
+    points : float32, shape (N, 3)
+        C-contiguous, metres, proximity depth frame, in row-major pixel order. A later frame does not overwrite the
+        array: it lives as long as somebody holds it. Do not write into it, because the same array is returned again for
+        an unchanged frame.
+    made_provenance, made_aligned, made_mask
+        What `provenance`, `aligned` and `mask` return, or compute first; without a mask it follows from the provenance.
     rig : Rig
     stage_ms : mapping of str to float
         Milliseconds of each step of the contact test; 0 for a step that was cached or skipped.
@@ -294,68 +299,34 @@ class ContactPatch:
         The colours that the mask was compared with, where prints are found again in other light than before.
     """
 
-    def __init__(
-        self,
-        sequence: int,
-        points: Float32Array,
-        provenance: Uint8Array | Lazy[Uint8Array],
-        aligned: AlignedDepth | Lazy[AlignedDepth],
-        rig: Rig,
-        stage_ms: Mapping[str, float],
-        skipped: tuple[str, ...] = (),
-        mask: Lazy[BoolArray] | None = None,
-        averaged_frames: int = 1,
-        membrane: MembraneFacts | None = None,
-        doubt_of: DoubtOf = lambda contact: _NO_DOUBT,
-        pressure: PressureFacts | None = None,
-        mask_colors: Lazy[Uint8Array] | None = None,
-    ) -> None:
-        self.sequence = sequence
-        self._points = points
-        self.rig = rig
-        self.stage_ms = dict(stage_ms)
-        self.skipped = skipped
-        self.averaged_frames = averaged_frames
-        self.membrane = membrane
-        self.pressure = pressure
-        self.mask_colors = mask_colors
-        self._provenance = provenance
-        self._aligned = aligned
-        self._mask = mask
-        self._doubt_of = doubt_of
-
-    def again(
-        self, sequence: int, stage_ms: Mapping[str, float], skipped: tuple[str, ...], doubt_of: DoubtOf
-    ) -> ContactPatch:
-        """Return the same patch as the result of another call, with the doubt under the present preset."""
-        return ContactPatch(
-            sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
-            self.averaged_frames, self.membrane, doubt_of, self.pressure, self.mask_colors,
-        )  # fmt: skip
-
-    @property
-    def points(self) -> Float32Array:
-        """Float32 (N, 3), C-contiguous, metres, proximity depth frame, in row-major pixel order.
-
-        Reading copies nothing. A later frame does not overwrite the array: it lives as long as somebody holds it. Do
-        not write into it, because the same array is returned again for an unchanged frame.
-        """
-        return self._points
+    sequence: int
+    points: Float32Array
+    made_provenance: Uint8Array | Lazy[Uint8Array]
+    made_aligned: AlignedDepth | Lazy[AlignedDepth]
+    rig: Rig
+    stage_ms: Mapping[str, float]
+    skipped: tuple[str, ...] = ()
+    made_mask: Lazy[BoolArray] | None = None
+    averaged_frames: int = 1
+    membrane: MembraneFacts | None = None
+    doubt_of: DoubtOf = lambda contact: _NO_DOUBT
+    pressure: PressureFacts | None = None
+    mask_colors: Lazy[Uint8Array] | None = None
 
     @property
     def provenance(self) -> Uint8Array:
         """Uint8 (H, W), values of `Provenance`."""
-        return self._provenance.get() if isinstance(self._provenance, Lazy) else self._provenance
+        return self.made_provenance.get() if isinstance(self.made_provenance, Lazy) else self.made_provenance
 
     @property
     def aligned(self) -> AlignedDepth:
         """Both sides of the tolerance test."""
-        return self._aligned.get() if isinstance(self._aligned, Lazy) else self._aligned
+        return self.made_aligned.get() if isinstance(self.made_aligned, Lazy) else self.made_aligned
 
     @cached_property
     def mask(self) -> BoolArray:
         """Bool (H, W), True in contact; its i-th True pixel belongs to ``points[i]``."""
-        return self._mask.get() if self._mask is not None else np.asarray(self.provenance == Provenance.CONTACT)
+        return self.made_mask.get() if self.made_mask is not None else np.asarray(self.provenance == Provenance.CONTACT)
 
     @cached_property
     def relative_difference(self) -> Float32Array:
@@ -384,7 +355,7 @@ class ContactPatch:
         centroids = sums / size[:, None]
         members = np.split(np.argsort(labels, kind="stable"), np.cumsum(size)[:-1])
         return tuple(
-            Contact(float(total_mm2[i]), (x, y, z), self._doubt_of(Candidates(pixels[own], self.points[own])), own)
+            Contact(float(total_mm2[i]), (x, y, z), self.doubt_of(Candidates(pixels[own], self.points[own])), own)
             for i in np.argsort(-total_mm2, kind="stable")
             for (x, y, z), own in [(centroids[i].tolist(), members[i])]
         )
@@ -393,7 +364,7 @@ class ContactPatch:
     def doubt(self) -> Doubt:
         """The doubt about the patch: that of its surest contact, their mean boundary error and all their reasons."""
         if not self.contacts:
-            return self._doubt_of(NO_CANDIDATES)
+            return self.doubt_of(NO_CANDIDATES)
         doubts, areas = [each.doubt for each in self.contacts], [each.area_mm2 for each in self.contacts]
         return Doubt(
             max(each.touch_probability for each in doubts),

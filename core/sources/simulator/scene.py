@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from ...model.arrays import Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
+from ...model.arrays import Float32Array, Float64Array, Uint8Array, Uint16Array
 from ...model.clouds import nearest_pixels
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, rigid_transform
 from ...model.intrinsics import Intrinsics
@@ -17,7 +17,6 @@ from .membrane import (
     Membrane,
     MembraneDesign,
     MembraneState,
-    Mesh,
     contact_load,
     contact_share,
     object_pose,
@@ -293,7 +292,7 @@ def true_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> True
     design = membrane.design
     columns, rows = dot_counts(design.width_m, design.height_m)
     flat = dot_grid(design.width_m, design.height_m)
-    dots = _on_triangles(membrane.mesh, design.cells, flat, membrane.surface(nodes)).reshape(rows, columns, 3)
+    dots = membrane.at(flat, membrane.surface(nodes)).reshape(rows, columns, 3)
     whole = (_dots_shown(membrane, nodes, camera) >= _WHOLE_SHARE).reshape(rows, columns)
     largest = []
     for axis in (1, 0):
@@ -313,28 +312,8 @@ def _dots_shown(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Floa
     grid = dot_grid(design.width_m, design.height_m)
     surface = membrane.surface(nodes)
     depth_m = rasterise(camera, surface, mesh.triangles, np.zeros((len(nodes), 6))).depth
-    points = _on_triangles(mesh, design.cells, (grid[:, None] + disc).reshape(-1, 2), surface)
+    points = membrane.at((grid[:, None] + disc).reshape(-1, 2), surface)
     points = points @ camera.pose[:, :3].T + camera.pose[:, 3]
     row, column, inside = nearest_pixels(points, camera.intrinsics)
     shown = inside & (points[:, 2] < depth_m[row, column] + _BEFORE_M)
     return np.asarray(shown.reshape(len(grid), len(disc)).mean(axis=1))
-
-
-def _on_triangles(mesh: Mesh, cells: tuple[int, int], flat: Float64Array, nodes: Float64Array) -> Float64Array:
-    """Return points of the flat sheet, (M, 2), on the triangles between nodes, (N, 3): (M, 3)."""
-    (nx, ny), low, high = cells, mesh.flat[0, :2], mesh.flat[-1, :2]
-    i, j = np.clip(((flat - low) / (high - low) * (nx, ny)).astype(np.intp), 0, (nx - 1, ny - 1)).T
-    first = 2 * (j * nx + i)  # a cell's two triangles follow each other
-    shares = _shares(mesh, first, flat)
-    other = shares.min(axis=1) < 0.0
-    shares[other] = _shares(mesh, first[other] + 1, flat[other])
-    return np.asarray((shares[:, :, None] * nodes[mesh.triangles[first + other]]).sum(axis=1))
-
-
-def _shares(mesh: Mesh, triangles: IndexArray, flat: Float64Array) -> Float64Array:
-    """Return barycentric coordinates, (M, 3), of places of the flat sheet in one triangle each."""
-    a, b, c = mesh.flat[mesh.triangles[triangles], :2].transpose(1, 0, 2)
-    (ux, uy), (vx, vy), (x, y) = (b - a).T, (c - a).T, (flat - a).T
-    doubled = ux * vy - uy * vx
-    of_b, of_c = (x * vy - y * vx) / doubled, (ux * y - uy * x) / doubled
-    return np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1)

@@ -14,7 +14,7 @@ def patch_of(mask):
     z = np.where(u < mask.shape[1] / 2, 0.2, 0.3)
     points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1).astype(np.float32)
     verdicts = np.where(mask, Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8)
-    return ContactPatch(0, points, verdicts, AlignedDepth.empty(mask.shape), rig, {}, mask=Lazy(lambda: mask))
+    return ContactPatch(0, points, verdicts, AlignedDepth.empty(mask.shape), rig, {}, made_mask=Lazy(lambda: mask))
 
 
 def test_contacts_are_the_connected_parts_the_largest_first():
