@@ -61,10 +61,12 @@ def devices() -> None:
 
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
-    topics = _ros2_topics()
+    with ThreadPoolExecutor(1) as pool:
+        listening = pool.submit(_ros2_topics)
+        answer = ask_driver()
+        topics = listening.result()
     for topic in topics:
         typer.echo(f"{topic.name}, {topic.width} x {topic.height}, {topic.encoding}: a camera of ros2:")
-    answer = ask_driver()
     for device in answer["devices"]:
         about = [("serial", "serial"), ("firmware", "firmware"), ("USB", "usb")]
         say(", ".join([device["model"], *(f"{word} {device.get(key) or 'unknown'}" for word, key in about)]))
