@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QLabel, QWidget
 
@@ -102,7 +102,7 @@ class TiltTab(LiveTab):
             self.status.setText(result.problem)
             return None
         self.shown = result, found
-        self._show()
+        self._show(result, result.patch.points, found)
         angles = [getattr(found, name) for name in _ANGLES]
         degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
         frame = result.frame
@@ -115,12 +115,8 @@ class TiltTab(LiveTab):
         for label in (self.roll, self.pitch, self.axis):
             label.setText("")
 
-    def _show(self) -> None:
-        if self.shown is None:
-            return
-        result, tilt = self.shown
-        assert result.patch is not None
-        points, lines = result.patch.points, plane_lines(result.patch.points, tilt)
+    def _show(self, result: Result, points: Float32Array, tilt: Tilt) -> None:
+        lines = plane_lines(points, tilt)
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
         lut = patch_lut(theme_name()).copy()
         lut[_PLANE_ROW] = (*_PITCH_RGB, 255)
@@ -148,11 +144,6 @@ class TiltTab(LiveTab):
             curve.setData(times, angle)
             for end, sign in zip(ends, (-1, 1), strict=True):
                 end.setData(times, angle + sign * sigma)
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "cloud"):
-            self._show()
 
 
 def plane_lines(points: Float32Array, tilt: Tilt) -> Float64Array:

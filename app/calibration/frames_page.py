@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from PyQt6.QtCore import QSignalBlocker, QSize, Qt, QTimer
+from PyQt6.QtCore import QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QIcon, QImage, QPixmap
 from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, QSlider, QWidget
 
 from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
-from ...widgets.basics.controls import keep_place, push_button
+from ...widgets.basics.controls import keep_place, named, push_button, timer
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
 from ..context import Context
@@ -44,19 +44,13 @@ class FramesPage(QWidget):
         self.take, self.note = self.step.start, self.step.sentence
         self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
         self._listed: tuple[str, ...] = ()
-        self._redraw = QTimer(self)
-        self._redraw.setSingleShot(True)
-        self._redraw.setInterval(_PREVIEW_MS)
-        self.seek = QSlider(Qt.Orientation.Horizontal)
-        self.seek.setAccessibleName("Frame of the recording")
-        self.seek.setToolTip("Frame of the recording")
+        self._redraw = timer(self, _PREVIEW_MS, self._show_frame, once=True)
+        self.seek = named(QSlider(Qt.Orientation.Horizontal), "Frame of the recording")
         self.note.setText(_ADVICE)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.list = QListWidget()
+        self.list = named(QListWidget(), "Snapshots", "The snapshots taken; points are clicked in the selected one")
         self.list.setIconSize(_THUMBNAIL)
-        self.list.setAccessibleName("Snapshots")
-        self.list.setToolTip("The snapshots taken; points are clicked in the selected one")
         self.list.setSpacing(4)
         self.remove = push_button("Re&move", "Remove the snapshot and the points clicked in it; undo restores both")
         self._lay_out()
@@ -84,7 +78,6 @@ class FramesPage(QWidget):
     def _connect(self) -> None:
         session, step = self._session, self.step
         self._context.frameShown.connect(self._frame_shown)
-        self._redraw.timeout.connect(self._show_frame)
         self.seek.valueChanged.connect(self._context.worker.seek)
         step.start.clicked.connect(lambda: self.running.setVisible(step.busy))
         step.ended.connect(self._ended)

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
-from PyQt6.QtCore import QTimer, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QPushButton, QWidget
 
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
 from ...core.rig.untouched import frames_to_average
 from ...core.sources.base import part_of
-from ...widgets.basics.controls import ProgressBar, keep_place, push_button, wrapped_label
+from ...widgets.basics.controls import ProgressBar, keep_place, push_button, timer, wrapped_label
 from ..context import Context
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
@@ -58,9 +58,7 @@ class Gather(QWidget):
         self._taking = self._preparing = False
         self._return_to: int | None = None
         self._counted, self._last_s = 0, 0.0
-        self._timer = QTimer(self)
-        self._timer.setInterval(_TICK_MS)
-        self._timer.timeout.connect(self._look)
+        self._timer = timer(self, _TICK_MS, self._look)
         self._job = Job(self)
         self._job.progress.connect(
             lambda share, words: self.progress.show_share(_GATHERED + (1 - _GATHERED) * share, words)

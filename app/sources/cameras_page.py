@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QT
 
 from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
-from ...widgets.basics.controls import caption, push_button
+from ...widgets.basics.controls import caption, named, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..worker.jobs import Job
 from .list_devices import ask_driver
@@ -49,11 +49,9 @@ class CamerasPage(SourcePage):
         self._found: list[dict[str, Any]] = []
         self._hint = ""
         self._has_searched = False
-        self.list = QTreeWidget()
+        self.list = named(QTreeWidget(), "Connected cameras", "The cameras that are connected now")
         self.list.setHeaderLabels(["Model", "Serial number", "Firmware", "USB", "Note"])
         self.list.setRootIsDecorated(False)
-        self.list.setAccessibleName("Connected cameras")
-        self.list.setToolTip("The cameras that are connected now")
         if (header := self.list.header()) is not None:
             header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.proximity = _combo(
@@ -154,8 +152,6 @@ class CamerasPage(SourcePage):
 
 
 def _combo(name: str, tip: str) -> QComboBox:
-    combo = QComboBox()
+    combo = named(QComboBox(), name, tip)
     combo.addItem(_ANY, "")
-    combo.setAccessibleName(name)
-    combo.setToolTip(tip)
     return combo

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QGridLayout, Q
 from ...core.calibration.folder_rig import FolderRig, describe_folder
 from ...core.errors import TactuneError, as_sentence
 from ...core.sources.folder import write_rig
-from ...widgets.basics.controls import NoteLabel, caption, dialog_buttons, push_button, wrapped_label
+from ...widgets.basics.controls import NoteLabel, caption, dialog_buttons, named, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..worker.jobs import Job
@@ -42,11 +42,10 @@ class FolderRigDialog(QDialog):
         two = {"proximity_depth", "tactile_depth"} <= set(slots)  # else the only depth is the tactile camera's
         roles = ["proximity", "tactile", "color"] if two and "proximity_color" in slots else list(_LENSES)[not two : 2]
         self.lenses = {role: self._add_lens(grid, role) for role in roles}
-        self.unit = QComboBox()
+        tip = "mm, metres per count such as 0.0001 or 1/5000, or proximity=UNIT,tactile=UNIT"
+        self.unit = named(QComboBox(), "Unit of the depth", tip)
         self.unit.setEditable(True)
         self.unit.addItems(_UNITS)
-        self.unit.setAccessibleName("Unit of the depth")
-        self.unit.setToolTip("mm, metres per count such as 0.0001 or 1/5000, or proximity=UNIT,tactile=UNIT")
         row = grid.rowCount()
         grid.addWidget(caption("&Unit of depth", self.unit), row, 0)
         grid.addWidget(self.unit, row, 1)
@@ -76,10 +75,8 @@ class FolderRigDialog(QDialog):
         super().accept()
 
     def _add_lens(self, grid: QGridLayout, role: str) -> QLineEdit:
-        field, choose = QLineEdit(), push_button("Choose…", "Choose the file of this lens")
-        title = _LENSES[role]
-        field.setAccessibleName(title.replace("&", ""))
-        field.setToolTip(_LENS_TIP)
+        title, choose = _LENSES[role], push_button("Choose…", "Choose the file of this lens")
+        field = named(QLineEdit(), title.replace("&", ""), _LENS_TIP)
         field.setPlaceholderText("as a file beside the images states it")
         row = grid.rowCount()
         for column, widget in enumerate((caption(title, field), field, choose)):

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QObject, QSignalBlocker, pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QPushButton, QTabWidget, QWidget
 
 from ...core.sources.base import split_topics
-from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
+from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons, named
 from ...widgets.basics.layouts import hbox, vbox
 from ..context import Context
 from .cameras_page import CAMERA_SCHEMES, CamerasPage
@@ -34,9 +34,8 @@ class OpenDialog(QDialog):
             page.changed.connect(self._page_changed)
             page.activated.connect(self._open)
             self.finished.connect(page.stop)
-        self.name = QLineEdit()
-        self.name.setAccessibleName("Name of the source")
-        self.name.setToolTip("Name of the source, as “tactune run --source” takes it, or a path")
+        tip = "Name of the source, as “tactune run --source” takes it, or a path"
+        self.name = named(QLineEdit(), "Name of the source", tip)
         self.name.setPlaceholderText("sim:cup?press=low, or a path")
         self.name.setClearButtonEnabled(True)
         self.note = NoteLabel(lines=2)

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
 from ...core.errors import SourceError
 from ...core.sources.base import SourceKind
 from ...core.sources.registry import missing_path, source_kinds
-from ...widgets.basics.controls import push_button, wrapped_label
+from ...widgets.basics.controls import named, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..settings import Settings
@@ -95,9 +95,8 @@ class FilesPage(SourcePage):
         self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
         self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
         self.simulator = push_button("Open &simulator", f"Open {_SIMULATOR}, a sensor that needs no cameras")
-        self.list = QListWidget()
-        self.list.setAccessibleName("Recent sources")
-        self.list.setToolTip("Sources that were open before; double-click one to open it, Delete removes it")
+        tip = "Sources that were open before; double-click one to open it, Delete removes it"
+        self.list = named(QListWidget(), "Recent sources", tip)
         self.list.setWordWrap(True)
         self.list.setSpacing(2)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)

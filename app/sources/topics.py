@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QGridLayout, QLabel, QPus
 from ...core.errors import as_sentence
 from ...core.sources.registry import images_without_rig, topics_to_choose
 from ...core.sources.ros.source import Inspection
-from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, push_button, wrapped_label
+from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, named, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..worker.jobs import Job
@@ -63,9 +63,7 @@ class TopicsDialog(QDialog):
 
     def _add(self, grid: QGridLayout, number: int, slot: str) -> None:
         title, tip = _SLOTS[slot]
-        choice, picture = ChoiceBox(), QLabel()
-        choice.setAccessibleName(title.replace("&", ""))
-        choice.setToolTip(tip)
+        choice, picture = named(ChoiceBox(), title.replace("&", ""), tip), QLabel()
         choice.addItem(_NONE, "")
         for image in self._found.images:
             if image.kind == slot.partition(".")[2]:

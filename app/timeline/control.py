@@ -12,10 +12,11 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
-from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
+from ...widgets.basics.controls import timer
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
 from ..context import Context
 from ..worker.results import Pace, Result, SourceInfo
@@ -46,14 +47,9 @@ class Timeline(QObject):
         self._series: Series | None = None
         self._series_of = ""
         self._live: deque[tuple[float, FrameValues]] = deque()
-        self._rest = QTimer(self)
-        self._rest.setSingleShot(True)
-        self._rest.setInterval(_REST_MS)
-        self._rest.timeout.connect(self._compute)
+        self._rest = timer(self, _REST_MS, self._compute, once=True)
         self._pace = Pace(_CURSOR_S)
-        self._scroll = QTimer(self)
-        self._scroll.setInterval(_LIVE_MS)
-        self._scroll.timeout.connect(self._show_live)
+        self._scroll = timer(self, _LIVE_MS, self._show_live)
         strip.choose_curve(context.settings.text("view/time_curve"))
         strip.curveChosen.connect(lambda key: context.settings.set("view/time_curve", key))
         worker = context.worker
@@ -192,9 +188,7 @@ class SeriesJob(QObject):
         self.process: BaseProcess | None = None
         self._orders: Connection | None = None
         self._number = 0
-        self._timer = QTimer(self)
-        self._timer.setInterval(_LOOK_MS)
-        self._timer.timeout.connect(self._look)
+        self._timer = timer(self, _LOOK_MS, self._look)
 
     def start(self, source: str, length: int, preset: Preset, home: Path | None = None) -> None:
         """Compute the series of ``length`` frames, with the untouched frame beside ``home``; ends the one before."""

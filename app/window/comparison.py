@@ -17,7 +17,7 @@ from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import caption, choice_button, push_button, wrapped_label
+from ...widgets.basics.controls import caption, choice_button, named, push_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
@@ -138,9 +138,8 @@ class ComparisonPanel(QWidget):
         self._enable(False)
 
     def _side_box(self, index: int) -> QComboBox:
-        box = QComboBox()
-        box.setAccessibleName(f"Preset {'AB'[index]}")
-        box.setToolTip(f"Preset {'AB'[index]}: the present one, the saved one, a shipped one or a file")
+        name = f"Preset {'AB'[index]}"
+        box = named(QComboBox(), name, f"{name}: the present one, the saved one, a shipped one or a file")
         box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         box.setMaxVisibleItems(25)
         box.activated.connect(lambda row: self._choose(index, box.itemData(row)))

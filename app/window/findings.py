@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PyQt6.QtCore import QObject, Qt, QTimer
+from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
 
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
-from ...widgets.basics.controls import NoteLabel, push_button
+from ...widgets.basics.controls import NoteLabel, push_button, timer
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import ParameterPanel
@@ -102,10 +102,7 @@ class FindingsControl(QObject):
         self._judged = False
         self._offered: Finding | None = None
         rail.mend = self.mend
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(LINGER_MS)
-        self._timer.timeout.connect(self._drop_gone)
+        self._timer = timer(self, LINGER_MS, self._drop_gone, once=True)
         context.worker.examined.connect(self._found)
         context.worker.opened.connect(lambda _: self._forget())
         context.frameShown.connect(self._explain_empty)

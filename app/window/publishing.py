@@ -8,12 +8,12 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
-from PyQt6.QtCore import QObject, QTimer
+from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLineEdit, QPushButton, QSpinBox, QWidget
 
 from ...core.errors import counted
 from ...core.output.connections import LOOPBACK, Connections
-from ...widgets.basics.controls import NoteLabel, caption, choice_button
+from ...widgets.basics.controls import NoteLabel, caption, choice_button, timer
 from ...widgets.basics.layouts import vbox
 from ..context import Context
 from ..worker.jobs import Job
@@ -114,9 +114,7 @@ class PublishControl(QObject):
         for edited in (panel.foxglove.toggled, panel.ros2.toggled, panel.port.valueChanged, panel.domain.valueChanged):
             edited.connect(self._remember)
         panel.namespace.textChanged.connect(self._remember)
-        self._timer = QTimer(self)
-        self._timer.setInterval(_INTERVAL_MS)
-        self._timer.timeout.connect(self._show)
+        self._timer = timer(self, _INTERVAL_MS, self._show)
         self.panel.start.clicked.connect(self._switch)
         self._starting = Job(self)  # ROS 2 takes most of a second
         self._starting.done.connect(self._started)

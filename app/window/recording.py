@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
-from PyQt6.QtCore import QLocale, QTimer, QUrl
+from PyQt6.QtCore import QLocale, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QFrame
 
 from ...core.errors import counted
 from ...core.output.writer import RecordingStatus
-from ...widgets.basics.controls import ElidedLabel, TintedLabel, keep_place, number_label
+from ...widgets.basics.controls import ElidedLabel, TintedLabel, keep_place, number_label, timer
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
@@ -65,9 +65,7 @@ class RecordingBar(QFrame):
         )
         keep_place(self)
         self.hide()
-        self._refresh = QTimer(self)
-        self._refresh.setInterval(REFRESH_MS)
-        self._refresh.timeout.connect(self._show_progress)
+        self._refresh = timer(self, REFRESH_MS, self._show_progress)
         worker = self._worker
         action.triggered.connect(self._toggle)
         worker.opened.connect(self._opened)

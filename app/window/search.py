@@ -8,6 +8,8 @@ from PyQt6.QtCore import QModelIndex, Qt, QTimer
 from PyQt6.QtGui import QAction, QFocusEvent, QKeyEvent, QStandardItem, QStandardItemModel
 from PyQt6.QtWidgets import QCompleter, QLineEdit, QToolTip
 
+from ...widgets.basics.controls import named
+
 #: What is found: its name, what is said beside it, and what choosing it does; None where it cannot be done now.
 Entry = tuple[str, str, Callable[[], object] | None]
 
@@ -28,8 +30,7 @@ class Search(QLineEdit):
         completer.activated[QModelIndex].connect(self._choose)
         self.setCompleter(completer)
         self.setPlaceholderText("Search (Ctrl+Shift+P)")
-        self.setAccessibleName("Search")
-        self.setToolTip("Find every action and parameter by name (Ctrl+Shift+P). Enter runs or shows the first")
+        named(self, "Search", "Find every action and parameter by name (Ctrl+Shift+P). Enter runs or shows the first")
         self.setClearButtonEnabled(True)
         self.setMinimumWidth(120)
         self.textEdited.connect(lambda _: QTimer.singleShot(0, self._tell_nothing_found))  # after the completer

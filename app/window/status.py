@@ -8,7 +8,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel, QPushButton, QStatusBar
 
 from ...core.errors import counted, minus
-from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel, named
 from ...widgets.basics.overlays import Reading
 from ..worker.playback import PlaybackState
 from ..worker.results import Pace, RateMeter, Result, SourceInfo, SourceState
@@ -53,8 +53,8 @@ class FrameDetails(QLabel):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setAccessibleName("Details of the frame")
-        self.setToolTip("A stage that is cached or skipped is left out. Unmatched: images without a partner in time")
+        tip = "A stage that is cached or skipped is left out. Unmatched: images without a partner in time"
+        named(self, "Details of the frame", tip)
         self.setWordWrap(True)
         self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.setMinimumHeight(9 * self.fontMetrics().lineSpacing())  # so that nothing moves

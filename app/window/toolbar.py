@@ -10,7 +10,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSpinBox, QWidget
 
-from ...widgets.basics.controls import action_button, text_button
+from ...widgets.basics.controls import action_button, named, text_button
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import hbox, vbox
 from ..worker.playback import PlaybackState
@@ -23,8 +23,7 @@ class FrameNumber(QSpinBox):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setAccessibleName("Frame number")
-        self.setToolTip("Frame, from 1 (files and commands count from 0). Type a number to go to it")
+        named(self, "Frame number", "Frame, from 1 (files and commands count from 0). Type a number to go to it")
         self.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)  # Previous and Next stand beside it
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # not by the wheel: while it has the focus it stands still
         self.setKeyboardTracking(False)

@@ -24,7 +24,7 @@ from ...widgets.basics.colormaps import (
     pressure_legend,
     provenance_legend,
 )
-from ...widgets.basics.controls import ChoiceBox, caption
+from ...widgets.basics.controls import ChoiceBox, caption, named
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
@@ -85,18 +85,17 @@ class ViewArea(QWidget):
         self._legends: dict[CloudName, object] = {}
         for view in self.views.values():
             view.wipeDragged.connect(self.wipeDragged)
-            view.set_focus_finder(self._focus)
+            view.find_focus = self._focus
         self.color_by = ChoiceBox()
         self.color_by.setAccessibleName("Colour by")
         self._colors = ColorBy.CONTACT  # as chosen, also while the frames on the screen have no pressure
         self._offer_colors(with_pressure=False)
         self.color_by.currentIndexChanged.connect(lambda _: self.choose_colors(self.color_by.currentData()))
-        self.point_size = QSlider(Qt.Orientation.Horizontal)
+        tip = "Point size in pixels; one more where that closes gaps"
+        self.point_size = named(QSlider(Qt.Orientation.Horizontal), "Point size", tip)
         self.point_size.setRange(*POINT_SIZES)
         self.point_size.setValue(2)
         self.point_size.setFixedWidth(60)
-        self.point_size.setAccessibleName("Point size")
-        self.point_size.setToolTip("Point size in pixels; one more where that closes gaps")
         self.point_size.valueChanged.connect(self._resize_points)
         self._lay_out()
         for action in (*self.toggles.values(), actions.show_strip):

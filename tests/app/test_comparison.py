@@ -140,11 +140,8 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
 
 def shares(window):
     """Where the wipe stands in each view and image, as a share of its width."""
-    found = [view.canvas.wipe.share for view in window.views.views.values()]
-    for pane in window.strip.panes.values():
-        rect = pane.box.viewRect()
-        found.append((pane.wipe_line.value() - rect.left()) / rect.width())
-    return found
+    found = [view.canvas.grip.wipe.share for view in window.views.views.values()]
+    return found + [pane.view.grip.wipe.share for pane in window.strip.panes.values()]
 
 
 def test_drag_the_wipe_in_a_view_or_an_image_and_all_others_follow(compared, qtbot):
@@ -156,12 +153,12 @@ def test_drag_the_wipe_in_a_view_or_an_image_and_all_others_follow(compared, qtb
     QTest.mouseRelease(canvas, LEFT, pos=QPoint(width // 4, height // 3))
     assert shares(compared) == pytest.approx([0.25] * len(shares(compared)), abs=0.02)
     QTest.keyClick(compared, Qt.Key.Key_Right, ALT)
-    assert views["patch"].canvas.wipe.share == pytest.approx(0.3, abs=0.02)
+    assert views["patch"].canvas.grip.wipe.share == pytest.approx(0.3, abs=0.02)
     QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
     QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
-    assert views["patch"].canvas.wipe.share == pytest.approx(0.2, abs=0.02)
+    assert views["patch"].canvas.grip.wipe.share == pytest.approx(0.2, abs=0.02)
     pane = compared.strip.panes["color"]
-    viewport, line = pane.view.viewport(), image_position(pane, pane.wipe_line.value(), HEIGHT // 2).toPoint()
+    viewport, line = pane.view.viewport(), image_position(pane, pane.split(), HEIGHT // 2).toPoint()
     QTest.mousePress(viewport, LEFT, pos=line)
     for step in (10, 20, 30):
         QTest.mouseMove(viewport, line + QPoint(step, 0))
@@ -179,7 +176,7 @@ def test_one_key_shows_a_then_b_then_the_wipe_again(compared):
     for mode, share, count in (("A", 1.0, points[0]), ("B", 0.0, points[1]), ("wipe", 0.5, points[0])):
         QTest.keyClick(compared, Qt.Key.Key_C)
         assert modes[mode].isChecked()
-        assert view.canvas.wipe.share == share
+        assert view.canvas.grip.wipe.share == share
         assert view.point_count() == count
 
 
@@ -202,7 +199,7 @@ def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):
     assert compared.document.undo_stack.undoText() == "Use Saved"
     qtbot.waitUntil(lambda: shows_preset_of_document(compared) and compared.result.compared is None)
     assert not compared.comparison.isVisible()
-    assert compared.views.views["patch"].canvas.wipe is None
+    assert compared.views.views["patch"].canvas.grip.wipe is None
     QTest.keyClick(compared, Qt.Key.Key_Z, CONTROL)
     assert compared.document.preset == before
 

@@ -57,7 +57,7 @@ def choose_pressure(window, qtbot):
 
 
 def legend(window, name):
-    return {text: color.getRgb()[:3] for text, color in window.views.views[name].legend.value()}
+    return {text: color.getRgb()[:3] for text, color in window.views.views[name].legend.entries}
 
 
 def colors_of(window, name):

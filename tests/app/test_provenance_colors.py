@@ -34,7 +34,7 @@ def test_in_provenance_each_view_answers_its_own_question(window, qtbot):
     window.document.edit("region.rectangle", (0, 0, 64, 24))
     window.document.edit("region.enabled", True)
     qtbot.waitUntil(lambda: window.result.preset == window.document.preset)
-    names = {name: [text for text, _ in view.legend.value()] for name, view in window.views.views.items()}
+    names = {name: [text for text, _ in view.legend.entries] for name, view in window.views.views.items()}
     verdicts = window.result.patch.provenance
     assert {Provenance.OUTSIDE_REGION, Provenance.OUTSIDE_TOLERANCE} < set(np.unique(verdicts))
     assert "out of region" in names[PROXIMITY] and "out of region" not in names[PATCH]
@@ -48,5 +48,5 @@ def test_the_patch_view_shows_what_late_steps_dropped(window, qtbot):
     values = {"mask.enabled": True, "mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)}
     window.document.edit_many(values, 1, "Drop the disc")
     qtbot.waitUntil(lambda: window.result.preset == window.document.preset and not window.result.patch.mask.any())
-    patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].legend.value()}
+    patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].legend.entries}
     assert (colors_of(window, PATCH)[disc][:, :3] == patch["masked"]).all()

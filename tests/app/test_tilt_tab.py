@@ -35,7 +35,7 @@ def test_shows_the_angles(qtbot, window):
     alone = tab.shown[1]
     assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
     assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
-    assert [name for name, _ in tab.cloud.legend.value()] == ["patch", "fitted plane"]
+    assert [name for name, _ in tab.cloud.legend.entries] == ["patch", "fitted plane"]
     assert "noise" in tab.status.text()  # that of the rig was not measured
 
 

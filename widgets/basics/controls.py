@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
-from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QObject, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QKeyEvent, QKeySequence, QPainter, QPaintEvent, QPalette, QShortcut
 from PyQt6.QtWidgets import (
     QAbstractButton,
@@ -24,6 +25,8 @@ from .icons import icon
 from .layouts import hbox, vbox
 from .theme import text_font, theme_colors
 
+_Widget = TypeVar("_Widget", bound=QWidget)
+
 
 def shortened(sentence: str) -> str:
     """Return a sentence of at most 600 characters; the centre of a longer one, such as a name of any length, goes."""
@@ -34,6 +37,22 @@ def copy_text(text: str) -> None:
     clipboard = QApplication.clipboard()
     assert clipboard is not None
     clipboard.setText(text)
+
+
+def named(widget: _Widget, name: str, tip: str = "") -> _Widget:
+    """Give a widget its name for screen readers and its tooltip, which is the name where there is no other."""
+    widget.setAccessibleName(name)
+    widget.setToolTip(tip or name)
+    return widget
+
+
+def timer(parent: QObject, interval_ms: int, call: Callable[[], object], *, once: bool = False) -> QTimer:
+    """Return a timer, not started yet, that calls a method again and again, or once."""
+    made = QTimer(parent)
+    made.setSingleShot(once)
+    made.setInterval(interval_ms)
+    made.timeout.connect(call)  # no lambda: Qt would call it after Python has cleared a closed window
+    return made
 
 
 # Buttons
@@ -110,9 +129,8 @@ class FoldButton(QToolButton):
     def __init__(self, title: str, name: str, tip: str, body: QWidget) -> None:
         super().__init__()
         self._body, self.is_folded = body, False
+        named(self, name, tip)
         self.setText(title)
-        self.setAccessibleName(name)
-        self.setToolTip(tip)
         self.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
         self.setAutoRaise(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)

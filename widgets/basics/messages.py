@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from enum import StrEnum
 from html import escape
 
-from PyQt6.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .controls import shortened, tool_button, wrapped_label
+from .controls import shortened, timer, tool_button, wrapped_label
 from .layouts import STRETCH, hbox, vbox
 
 #: Messages on the screen at once; older ones wait.
@@ -75,10 +75,7 @@ class Message(QFrame):
         self.closed.connect(close)
         self.lasts = bool(offers) or severity is not Severity.INFO
         self.rank = 0 if severity is Severity.ERROR else 1 if self.lasts else 2
-        self._goes = QTimer(self)
-        self._goes.setSingleShot(True)
-        self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(sentence))
-        self._goes.timeout.connect(self._leave)
+        self._goes = timer(self, NOTE_MS + CHARACTER_MS * len(sentence), self._leave, once=True)
         self.setAccessibleName(f"{severity}: {sentence}")
 
         text = wrapped_label(f"<b>{severity}.</b> {escape(shortened(sentence))}", selectable=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, QSizeF, Qt
-from PyQt6.QtGui import QColor, QFontMetrics, QImage, QPainter, QPaintEvent, QPalette, QPen
+from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, QSizeF, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QFontMetrics, QImage, QMouseEvent, QPainter, QPaintEvent, QPalette, QPen
 from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QWidget
 
 from .layouts import STRETCH, vbox
@@ -98,8 +98,37 @@ class Wipe:
         return abs(x - self.share * width) <= _REACH
 
 
+class WipeGrip(QObject):
+    """The wipe over a view, which the mouse drags; whoever listens answers with another share."""
+
+    dragged = pyqtSignal(float)  # to this share of the width
+
+    def __init__(self, over: QWidget) -> None:
+        super().__init__(over)
+        self.wipe: Wipe | None = None
+        self._held = self._lit = False
+        self._usual = over.cursor()
+        over.setMouseTracking(True)
+        over.installEventFilter(self)
+
+    def eventFilter(self, over: QObject | None, event: QEvent | None) -> bool:
+        if self.wipe is None or not isinstance(over, QWidget) or not isinstance(event, QMouseEvent):
+            return False
+        x, width, left = event.position().x(), max(1, over.width()), event.button() == Qt.MouseButton.LeftButton
+        held, lit = self._held, self.wipe.grabbed(x, width)
+        if event.type() == QEvent.Type.MouseMove and held:
+            self.dragged.emit(min(max(x / width, 0.0), 1.0))
+        elif event.type() == QEvent.Type.MouseMove and lit != self._lit and not event.buttons():
+            self._usual, self._lit = self._usual if self._lit else over.cursor(), lit
+            over.setCursor(Qt.CursorShape.SplitHCursor if lit else self._usual)
+        elif left:
+            self._held = event.type() == QEvent.Type.MouseButtonPress and lit
+        return held or self._held
+
+
 def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe) -> None:
     """Paint the line with a grip, and each name in the outer corner of its side, elided to fit."""
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     x = room.left() + wipe.column(round(room.width()))
     if 0 < wipe.share < 1:
         for color, width in ((CASING, 4.0), (_LINE, 2.0)):

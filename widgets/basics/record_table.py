@@ -12,7 +12,7 @@ from PyQt6.QtGui import QColor, QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
 from ...core.errors import minus
-from .controls import copy_text
+from .controls import copy_text, named
 from .theme import theme_colors, theme_name
 
 _Role = Qt.ItemDataRole
@@ -157,8 +157,7 @@ class RecordTable(QTableView):
         self._kept: tuple[Any, ...] = ()  # keys of the selected rows while all are replaced
         self._model.modelAboutToBeReset.connect(lambda: setattr(self, "_kept", self.selected_keys()))
         self._model.modelReset.connect(lambda: self.select(self._kept))
-        self.setAccessibleName(name)
-        self.setToolTip(tip)
+        named(self, name, tip)
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.setTabKeyNavigation(False)

@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float32Array, Float64Array, Uint8Array
 from ..basics.colormaps import over_background
-from ..basics.overlays import Reading, Wipe, paint_wipe, readings_image
+from ..basics.overlays import Reading, WipeGrip, paint_wipe, readings_image
 from ..basics.theme import CASING, ThemeName, text_font, theme_name
 from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .view_camera import FAR, NEAR, ViewCamera
@@ -302,7 +302,7 @@ class CloudCanvas(QWidget):
         super().__init__(parent)
         self.cloud: DepthCloud | None = None
         self.right: DepthCloud | None = None  # drawn right of the wipe, if there is one
-        self.wipe: Wipe | None = None
+        self.grip = WipeGrip(self)
         self.camera = ViewCamera()
         self.point_size = 2.0  # device-independent pixels
         self.running = False  # frames follow each other
@@ -324,8 +324,9 @@ class CloudCanvas(QWidget):
         red, green, blue, _ = self.palette().color(QPalette.ColorRole.Base).getRgb()
         point_size = max(1, round(self.point_size * ratio))
         look = Look(self.camera, (width, height), point_size, (red or 0, green or 0, blue or 0), self.running)
+        wipe = self.grip.wipe
         # one cloud that both sides share is drawn whole
-        column = width if self.wipe is None or self.right is self.cloud else self.wipe.column(width)
+        column = width if wipe is None or self.right is self.cloud else wipe.column(width)
         painter = QPainter(self)
         sides = ((self.cloud, 0, column), (self.right, column, width))
         for renderer, (cloud, start, stop) in zip(self._renderers, sides, strict=True):
@@ -341,8 +342,8 @@ class CloudCanvas(QWidget):
             self._paint_arrow(painter, self.arrow)
         if self.mark is not None:
             self._paint_mark(painter, self.mark)
-        if self.wipe is not None:
-            paint_wipe(painter, QRectF(self.rect()), self.wipe)
+        if wipe is not None:
+            paint_wipe(painter, QRectF(self.rect()), wipe)
         elif self.readings:
             plate = self.palette().color(QPalette.ColorRole.Base).name()
             painter.drawImage(0, 0, readings_image(self.size(), self.readings, plate, self.devicePixelRatioF()))

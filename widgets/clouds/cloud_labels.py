@@ -53,7 +53,7 @@ class LegendLine(QLabel):
 
     def __init__(self) -> None:
         super().__init__()
-        self._entries: list[tuple[str, QColor]] = []
+        self.entries: list[tuple[str, QColor]] = []
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         self.setTextFormat(Qt.TextFormat.RichText)
@@ -61,12 +61,9 @@ class LegendLine(QLabel):
         self.setFont(text_font("caption"))
         self._height = self._line_height()
 
-    def value(self) -> list[tuple[str, QColor]]:
-        return list(self._entries)
-
     def setValue(self, entries: list[tuple[str, QColor]]) -> None:
         """Show these entries, the most important first."""
-        self._entries = list(entries)
+        self.entries = entries
         named = [
             f'<span style="color:{color.name()}">■</span>&nbsp;{escape(text).replace(" ", "&nbsp;")}'
             for text, color in entries

@@ -7,11 +7,12 @@ from math import pi, radians
 
 import numpy as np
 import numpy.typing as npt
-from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QMouseEvent, QWheelEvent
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float64Array
+from ..basics.controls import timer
 from ..basics.layouts import vbox
 from ..basics.overlays import Notice, Reading, Wipe
 from .cloud_canvas import CloudCanvas, Place
@@ -64,22 +65,20 @@ class CloudView(QWidget):
         self._message, self._right_message = "", ""
         self._steered = False
         self._companions: list[CloudView] = []
-        self._find_focus: Callable[[], Float64Array] | None = None
+        #: Returns the points (N, 3), metres, that are framed instead of the clouds when the view is reset.
+        self.find_focus: Callable[[], Float64Array] | None = None
         self._focus: Float64Array | None = None
         self._drag_from: QPointF | None = None
         self._drag_pans = False
-        self._drags_wipe = False
         self._mouse = QPointF()
-        self._hover = QTimer(self)
-        self._hover.setSingleShot(True)
-        self._hover.setInterval(_HOVER_MS)
-        self._hover.timeout.connect(self._point)  # no lambda: Qt would call it after Python has cleared a closed view
+        self._hover = timer(self, _HOVER_MS, self._point, once=True)
 
         self._header = CloudHeader(title)
         self.legend = LegendLine()
         self.canvas = CloudCanvas(self)
         self.canvas.setObjectName("canvas")
         self.canvas.resized.connect(self._frame_after_resize)
+        self.canvas.grip.dragged.connect(self.wipeDragged)
         self.notice, self.badge = Notice(self.canvas), Notice(self.canvas, warns=True)
         parts = self._header, (self.canvas, 1), self.legend
         vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
@@ -116,9 +115,9 @@ class CloudView(QWidget):
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the view between two clouds seen by the same camera, or show only one."""
-        if wipe == self.canvas.wipe:
+        if wipe == self.canvas.grip.wipe:
             return
-        self.canvas.wipe = wipe
+        self.canvas.grip.wipe = wipe
         if wipe is None:
             self.canvas.right, self._right_message = None, ""
         self._show_count()
@@ -126,7 +125,7 @@ class CloudView(QWidget):
 
     def point_count(self) -> int:
         """Return the number of points that the view states: of the left cloud unless only the right one is seen."""
-        wipe = self.canvas.wipe
+        wipe = self.canvas.grip.wipe
         cloud = self.canvas.right if wipe is not None and wipe.share <= 0 else self.canvas.cloud
         return cloud.point_count if cloud else 0
 
@@ -166,7 +165,7 @@ class CloudView(QWidget):
 
     def _show_count(self) -> None:
         self._header.set_count(self.point_count())
-        wipe = self.canvas.wipe
+        wipe = self.canvas.grip.wipe
         share = 1.0 if wipe is None else wipe.share
         sides = [(self.canvas.cloud, self._message)] if share > 0 else []
         if share < 1:
@@ -183,18 +182,14 @@ class CloudView(QWidget):
         """Move the camera and those of linked views; automatic framing ends."""
         self._move(camera, steered=True)
 
-    def set_focus_finder(self, find: Callable[[], Float64Array]) -> None:
-        """Frame the points (N, 3), metres, that ``find`` returns instead of the clouds, when the view is reset."""
-        self._find_focus = find
-
     def refocus(self) -> None:
         """Find the points to frame again, and frame them in all linked views, keeping the direction."""
         self._look_for_focus()
         self._frame(self.camera(), steered=False)
 
     def _look_for_focus(self) -> None:
-        if self._find_focus is not None:
-            focus = self._find_focus()
+        if self.find_focus is not None:
+            focus = self.find_focus()
             for view in (self, *self._companions):
                 view._focus = focus
 
@@ -239,7 +234,7 @@ class CloudView(QWidget):
     def pick(self, at: QPointF) -> tuple[int, Place] | None:
         """Return flat pixel and place of the point nearest to the eye at a position of the canvas, or beside it."""
         width, height = self._size()
-        wipe = self.canvas.wipe
+        wipe = self.canvas.grip.wipe
         right = wipe is not None and at.x() >= wipe.column(width)
         cloud = self.canvas.right if right else self.canvas.cloud
         if cloud is None:
@@ -288,23 +283,13 @@ class CloudView(QWidget):
         if event is None or event.button() not in (Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton):
             super().mousePressEvent(event)
             return
-        if event.button() == Qt.MouseButton.LeftButton and self._at_wipe(event):
-            self._drags_wipe = True
-            return
         shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
         self._drag_from = event.position()
         self._drag_pans = shift or event.button() == Qt.MouseButton.MiddleButton
         self.canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        if event is not None and self._drags_wipe:
-            x = self.canvas.mapFrom(self, event.position()).x()
-            self.wipeDragged.emit(min(max(x / max(1, self.canvas.width()), 0.0), 1.0))
-            return
         if event is None or self._drag_from is None:
-            if event is not None and self.canvas.wipe is not None:
-                shape = Qt.CursorShape.SplitHCursor if self._at_wipe(event) else Qt.CursorShape.ArrowCursor
-                self.canvas.setCursor(shape)
             if event is not None and self._inspects and event.buttons() == Qt.MouseButton.NoButton:
                 self._mouse = self.canvas.mapFrom(self, event.position())
                 if not self._hover.isActive():
@@ -320,13 +305,9 @@ class CloudView(QWidget):
             self._orbit(-moved.x() * turn, moved.y() * turn)
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
-        self._drag_from, self._drags_wipe = None, False
+        self._drag_from = None
         self.canvas.unsetCursor()
         super().mouseReleaseEvent(event)
-
-    def _at_wipe(self, event: QMouseEvent) -> bool:
-        wipe, at = self.canvas.wipe, self.canvas.mapFrom(self, event.position())
-        return wipe is not None and wipe.grabbed(at.x(), self.canvas.width())
 
     def _point(self) -> None:
         self.pointHovered.emit(self.pick(self._mouse))

@@ -7,15 +7,14 @@ from typing import Any
 
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPalette
+from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
 from ..basics.colormaps import Legend
 from ..basics.controls import ElidedLabel
 from ..basics.layouts import vbox
-from ..basics.overlays import Notice, Wipe
-from ..basics.theme import theme_colors
+from ..basics.overlays import Notice, Wipe, WipeGrip, paint_wipe
 from ..clouds.cloud_labels import LegendLine
 
 #: Columns and rows that each arrow key moves, and the factor of each zoom key.
@@ -60,8 +59,9 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
 
     def set_split(self, split: float | None) -> None:
         """Set the column from which on the right image is shown."""
-        self._split = split
-        self.update()
+        if split != self._split:
+            self._split = split
+            self.update()
 
     def boundingRect(self) -> QRectF:
         return self._rect
@@ -83,44 +83,22 @@ def image_of(pixels: Uint8Array | None) -> QImage:
     return QImage(pixels.data, width, height, 4 * width, QImage.Format.Format_RGB32)  # type: ignore[call-overload, no-any-return]
 
 
-class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
-    """The wipe over an image: a line at a share of the visible width, with the letter of each side."""
-
-    shareDragged = pyqtSignal(float)
-
-    def __init__(self, box: pg.ViewBox) -> None:
-        super().__init__(
-            angle=90, movable=True, pen=pg.mkPen("w", width=2), hoverPen=pg.mkPen(theme_colors().accent, width=3)
-        )
-        self._box = box
-        self.share = 0.5
-        self.setZValue(30)
-        self._letters = [
-            pg.InfLineLabel(self, text, position=0.0, anchors=[(side, 0)] * 2, color="w", fill=(0, 0, 0, 165))
-            for text, side in (("A", 1), ("B", 0))
-        ]
-        self.sigDragged.connect(lambda _: self._dragged())
-        self.hide()
-
-    def set_share(self, share: float) -> None:
-        """Stand at a share of the visible width; at either end only one letter is shown."""
-        self.share = share
-        rect = self._box.viewRect()
-        self.setValue(rect.left() + share * rect.width())
-        for letter, shown in zip(self._letters, (share > 0, share < 1), strict=True):
-            letter.setVisible(shown)
-
-    def _dragged(self) -> None:
-        rect = self._box.viewRect()
-        self.shareDragged.emit(min(max((self.value() - rect.left()) / rect.width(), 0.0), 1.0))
-
-
 class _View(pg.GraphicsView):  # type: ignore[misc]
     left = pyqtSignal()
+
+    def __init__(self) -> None:
+        super().__init__(background=None)  # that of the window
+        self.viewport().setBackgroundRole(QPalette.ColorRole.Window)
+        self.grip = WipeGrip(self.viewport())
 
     def leaveEvent(self, event: QEvent) -> None:
         super().leaveEvent(event)
         self.left.emit()
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        super().paintEvent(event)
+        if self.grip.wipe is not None:
+            paint_wipe(QPainter(self.viewport()), QRectF(self.viewport().rect()), self.grip.wipe)
 
 
 class ImagePane(QWidget):
@@ -139,8 +117,7 @@ class ImagePane(QWidget):
         self._size = (640, 480)
         self.title, self.legend = ElidedLabel(title), LegendLine()
         self.legend.hide()
-        self.view = _View(background=None)
-        self.view.viewport().setBackgroundRole(QPalette.ColorRole.Window)
+        self.view = _View()
         self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.view.setAccessibleName(title)
         self.view.setMinimumSize(80, 60)
@@ -153,8 +130,6 @@ class ImagePane(QWidget):
         self.cross.setZValue(20)
         self.cross.hide()
         self.box.addItem(self.cross, ignoreBounds=True)
-        self.wipe_line = WipeLine(self.box)
-        self.box.addItem(self.wipe_line, ignoreBounds=True)
         self.notice, self.badge = Notice(self.view), Notice(self.view, warns=True)
 
         vbox(self.title, self.legend, (self.view, 1), within=self, margins=0, spacing=0)
@@ -163,7 +138,7 @@ class ImagePane(QWidget):
         self.view.scene().sigMouseClicked.connect(self._clicked)
         self.view.left.connect(lambda: self.hovered.emit(-1, -1))
         self.box.sigRangeChanged.connect(self._range_changed)
-        self.wipe_line.shareDragged.connect(self.wipeDragged)
+        self.view.grip.dragged.connect(self.wipeDragged)
         self.box.sigRangeChangedManually.connect(lambda *_: self.viewMoved.emit())
         self.box.sigResized.connect(lambda *_: self.resized.emit())
 
@@ -183,12 +158,14 @@ class ImagePane(QWidget):
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the visible width between two images, or show only one."""
-        self.wipe_line.setVisible(wipe is not None)
-        if wipe is None:
-            self._pixels.set_split(None)
-        else:
-            self.wipe_line.set_share(wipe.share)
-            self._pixels.set_split(self.wipe_line.value())
+        self.view.grip.wipe = wipe
+        self._pixels.set_split(self.split())
+        self.view.viewport().update()
+
+    def split(self) -> float | None:
+        """Return the column from which on the right image is shown."""
+        wipe, rect = self.view.grip.wipe, self.box.viewRect()
+        return None if wipe is None else rect.left() + wipe.share * rect.width()
 
     def set_cross(self, u: int, v: int) -> None:
         """Show the crosshair at a pixel; negative numbers hide it."""
@@ -212,9 +189,7 @@ class ImagePane(QWidget):
         return float(self.box.width() * self.devicePixelRatioF() / width) if width > 0 else 1.0
 
     def _range_changed(self, *_: object) -> None:
-        if self.wipe_line.isVisible():
-            self.wipe_line.set_share(self.wipe_line.share)
-            self._pixels.set_split(self.wipe_line.value())
+        self._pixels.set_split(self.split())
         self.viewChanged.emit(self.box.viewRect())
 
     def _pixel_at(self, scene_position: QPointF) -> tuple[int, int]:

@@ -134,8 +134,8 @@ class ImageStrip(QWidget):
             pane.set_wipe(wipe)
 
     def right_of_wipe(self, u: int) -> bool:
-        line = self._shown().wipe_line
-        return bool(line.isVisible() and u > line.value())
+        split = self._shown().split()
+        return split is not None and u > split
 
     def set_two_cameras(self, two: bool) -> None:
         if two != self._two_cameras:

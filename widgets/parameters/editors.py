@@ -14,7 +14,7 @@ from PyQt6.QtGui import QFocusEvent, QFontDatabase, QKeyEvent, QKeySequence, QVa
 from PyQt6.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QLineEdit, QWidget
 
 from ...core.errors import minus
-from ..basics.controls import caption
+from ..basics.controls import caption, named
 from ..basics.fields import FieldSpec, format_number
 from ..basics.gestures import GestureClock, new_gesture
 from ..basics.layouts import Part, hbox
@@ -199,15 +199,14 @@ class NumbersEditor(QWidget):
             entry.refused.connect(self.refused)
         parts: list[Part] = list(self.entries)
         if spec.kind == "rectangle":
-            named = zip("xywh", self.entries, strict=True)
-            parts = [part for letter, entry in named for part in (caption(letter, entry), (entry, 1))]
+            lettered = zip("xywh", self.entries, strict=True)
+            parts = [part for letter, entry in lettered for part in (caption(letter, entry), (entry, 1))]
         else:
             # whole numbers may coincide (one hue); a range of lengths must not be empty
             gap = 0.0 if spec.integer else spec.step
             scale = Scale(*spec.slider, step=spec.step, log=spec.log)
-            self.slider = Slider(scale, len(self.entries), wraps=spec.wraps, gap=gap)
-            self.slider.setAccessibleName(f"{spec.title} slider")
-            self.slider.setToolTip(spec.tooltip)
+            slider = Slider(scale, len(self.entries), wraps=spec.wraps, gap=gap)
+            self.slider = named(slider, f"{spec.title} slider", spec.tooltip)
             self.slider.edited.connect(self._take)
             parts.insert(len(self.entries) - 1, (self.slider, 1))
         hbox(*parts, within=self, margins=0, spacing=4)
@@ -318,8 +317,4 @@ _EDITORS: dict[str, Any] = {
 
 
 def make_editor(spec: FieldSpec) -> Any:
-    widget: QWidget = _EDITORS[spec.kind](spec)
-    if spec.kind != "matrix":
-        widget.setAccessibleName(spec.title)
-    widget.setToolTip(spec.tooltip)
-    return widget
+    return named(_EDITORS[spec.kind](spec), spec.title, spec.tooltip)

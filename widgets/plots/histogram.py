@@ -13,6 +13,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import AnyArray, Float64Array
+from ..basics.controls import named
 from ..basics.gestures import GestureClock
 from ..basics.layouts import vbox
 from ..basics.theme import ThemeColors
@@ -66,8 +67,7 @@ class LimitHistogram(QWidget):
         self.plot_widget.setMinimumWidth(200)
         vbox(self.plot_widget, within=self, margins=0)
         self.setFixedHeight(96)
-        self.setAccessibleName(quantity.name)
-        self.setToolTip(quantity.tip)
+        named(self, quantity.name, quantity.tip)
         plot = self._plot = self.plot_widget.getPlotItem()
         plot.hideAxis("left")
         plot.setContentsMargins(0, 4, 0, 0)

@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
 from ...core.model.arrays import BoolArray, Float64Array
-from ..basics.controls import ChoiceBox, action_button
+from ..basics.controls import ChoiceBox, action_button, named
 from ..basics.fields import format_number
 from ..basics.layouts import STRETCH, hbox, vbox
 from ..basics.theme import ThemeColors
@@ -148,9 +148,7 @@ class TimeStrip(QWidget):
         self._place_marks()
 
     def _make_curve_box(self) -> ChoiceBox:
-        box = ChoiceBox()
-        box.setAccessibleName("Curve of the time strip")
-        box.setToolTip("What the time strip shows")
+        box = named(ChoiceBox(), "Curve of the time strip", "What the time strip shows")
         for number, curve in enumerate(CURVES):
             box.addItem(f"{curve.title}, {curve.unit}" if curve.unit else curve.title, curve.key)
             box.setItemData(number, curve.tip, Qt.ItemDataRole.ToolTipRole)
@@ -160,12 +158,9 @@ class TimeStrip(QWidget):
     def _make_plot(self) -> None:
         view = self.plot_widget
         view.setMouseTracking(True)
-        view.setAccessibleName("Time strip")
         view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        view.setToolTip(
-            "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
-            "Keys: arrows, page up and down, home and end."
-        )
+        tip = "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
+        named(view, "Time strip", f"{tip}Keys: arrows, page up and down, home and end.")
         plot = self._plot = view.getPlotItem()
         plot.setMouseEnabled(x=True, y=False)
         plot.setContentsMargins(0, 4, 8, 0)
