@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 #: Contact pressure exceeds its noise by this many standard deviations, and the membrane has moved by more, metres.
 PRESSURE_SIGMAS, _MOVED_M = 4.0, 0.0007
 #: Window of the curvature, cells: smallest and largest; that of the slopes and of the edge of contact.
-_WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.5
+_WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.3
 #: Near the rim, windows are cut, and other errors than noise grow: the limit grows by this power of the noise's growth.
 _CUT_POWER: Final = 4
 #: How flat the membrane is, at the edge of contact, is limited to this range and averaged over this window, cells: an
@@ -50,8 +50,9 @@ _BOTH_SHARE: Final = 0.05
 _MODEL_SHARE: Final = 0.05
 #: The force and the sum of area times pressure differ by less than this many standard deviations of the force.
 _APART_SIGMAS: Final = 2.5
-#: A contact too small to look flat ends at this share of its largest pressure, which is this quantile.
-_SMALL_SHARE, _QUANTILE = 0.5, 0.9
+#: A contact too small to look flat ends at this share of its largest pressure, which is this quantile. What looks flat
+#: elsewhere has at most this level.
+_SMALL_SHARE, _QUANTILE, _OUTSIDE = 0.5, 0.9, -0.1
 #: Beyond this many standard deviations a cell tells nothing of the free membrane.
 _CUT: Final = 2.5
 
@@ -99,13 +100,14 @@ class PressureTest(ContactTest):
         rest, now = self._rest, self._now
         assert rest is not None
         if due("contact"):
-            self._touching = now.contact(preset.pressure)
+            self._inside = now.contact(preset.pressure)
+            self._touching = self._inside > 0
             self._seen = NO_CANDIDATES
             if self._touching.any():
                 within = None if pixels.rig.has_proximity else rest.grid.around(self._touching)
                 self._seen = pixels.candidates(frame, _BOTH_SHARE, within)
             places = pixels.tactile_pixels(self._seen.pixels, frame)
-            inside = self._in_cells(self._touching, places)
+            inside = self._in_cells(self._inside, places)
             self._pressed, self._places = keep(self._seen, inside), places[inside]
         if due("clusters"):
             pressed, camera, min_mm2 = self._pressed, pixels.rig.proximity.intrinsics, preset.pressure.min_area_mm2
@@ -114,15 +116,14 @@ class PressureTest(ContactTest):
         if due("force"):
             touching = _parts_with(self._touching, self._cells_at(self._kept))
             self._facts = now.facts(touching, preset, self._images(now.relative, self._contact, frame))
-        groups = self._touching, self._seen, self._pressed, self._contact
+        groups = self._inside, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
-    def _in_cells(self, cells: BoolArray, places: IndexArray) -> BoolArray:
-        """Return which flat tactile pixels lie in cells that are true."""
+    def _in_cells(self, cells: Float64Array, places: IndexArray) -> BoolArray:
+        """Return at which flat tactile pixels a level of the cells is above 0."""
         assert self._rest is not None
-        shape = self.pixels.rig.tactile.intrinsics.shape
-        smooth = self._rest.grid.to_image(255 * cells.view(np.uint8), shape, 0)
-        return np.asarray(smooth.reshape(-1)[places] > 127)
+        levels = self._rest.grid.to_image(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape, -1.0)
+        return np.asarray(levels.reshape(-1)[places] > 0)
 
     def _cells_at(self, places: IndexArray) -> BoolArray:
         """Return the cells that hold one of these flat tactile pixels."""
@@ -151,7 +152,7 @@ class PressureTest(ContactTest):
         return {"relative": Lazy(image), "on_membrane": on_membrane, "at_points": Lazy(lambda: at(contact.pixels))}
 
     def _provenance(
-        self, frame: SensorFrame, cells: BoolArray, seen: Candidates, pressed: Candidates, contact: Candidates
+        self, frame: SensorFrame, cells: Float64Array, seen: Candidates, pressed: Candidates, contact: Candidates
     ) -> Uint8Array:
         image = self.pixels.classify(frame)
         verdicts = image.reshape(-1)
@@ -243,8 +244,8 @@ class _Now:
         self._sigma = sigma * max(scatter, 1.0)
         self._edge_window = rest.window
 
-    def contact(self, section: PressureSection) -> BoolArray:
-        """Return the cells in contact.
+    def contact(self, section: PressureSection) -> Float64Array:
+        """Return a level of the cells that is above 0 in contact, and falls through 0 at its edge.
 
         Where a pressure exceeds the noise there is contact. Its edge is where the membrane stops being flat: free, it
         bulges in one direction at least, T1 k1 + T2 k2 = p, however unequal the tensions; on an object that is not
@@ -257,17 +258,20 @@ class _Now:
             limit = np.maximum(section.limit, PRESSURE_SIGMAS * noise)
             pressed = (self.relative > limit) & (self._moved_m > _MOVED_M)
             if not pressed.any():
-                return np.asarray(pressed, np.bool_)
-            flat = (self._flatness() > section.share) & (self._moved_m > 0)
-        touching = _parts_with(flat, pressed)
+                return np.full(pressed.shape, -1.0)
+            level = self._flatness() - section.share
+            flat = _parts_with((level > 0) & (self._moved_m > 0), pressed)
+        inside = np.where(flat, level, np.fmin(level, _OUTSIDE))
         self._edge_window = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
         count, labels = cv2.connectedComponents(pressed.view(np.uint8), connectivity=8)
         for number in range(1, count):
             own = labels == number
-            if not (own & touching).any():
+            if not (own & flat).any():
                 self._edge_window = self._rest.window
-                touching |= own & (self.relative >= _SMALL_SHARE * np.quantile(self.relative[own], _QUANTILE))
-        return touching
+                edge = max(_SMALL_SHARE * float(np.quantile(self.relative[own], _QUANTILE)), float(limit[own].min()))
+                near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+                inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
+        return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""

@@ -71,7 +71,7 @@ def test_a_sphere_has_its_curvature_and_carries_no_force():
     assert np.linalg.norm(air - pull * 0.2 / 2) < 0.01 * np.linalg.norm(air)
 
 
-@pytest.mark.parametrize(("ball_m", "contact_m", "off_mm"), [(0.05, 0.015, 1), (0.05, 0.02, 1), (0.08, 0.03, 2)])
+@pytest.mark.parametrize(("ball_m", "contact_m", "off_mm"), [(0.05, 0.015, 1), (0.05, 0.02, 1), (0.08, 0.03, 1)])
 def test_a_ball_in_a_membrane_of_constant_tension_has_the_force_and_contact_of_the_integral(ball_m, contact_m, off_mm):
     rig, radius_m, gauge_pa = Rig.of_one_camera(simulator_rig().tactile), 0.25, 2000.0
     rest, now = bubble(rig, radius_m), bubble(rig, radius_m, 0.3, ball_m, contact_m)
