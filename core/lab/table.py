@@ -375,20 +375,19 @@ def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) 
     lines = [["sensor", "method", *presses, "IoU", "force %", "empty", *(f"ms {press}" for press in presses)]]
     for sensor, method in _names(cells, "sensor", "method"):
         mine = [cell for cell in cells if (cell.sensor, cell.method) == (sensor, method)]
-        ious = [cell.iou for cell in mine if cell.iou is not None]
+        ious = [[cell.iou or 0.0 for cell in mine if cell.press == press] for press in presses]
+        iou = "/".join(_number(fmean(each) if each else None, 2) for each in ious)
         errors = [100 * cell.force_error for cell in mine if cell.force_error is not None and cell.press != "low"]
         force = median(errors) if errors else None
         empty = sum(1 for cell in mine if cell.failure and cell.true_mm2 >= MIN_TOUCHED_MM2)
         rmses = [_number(mean_rmse_mm(cell for cell in mine if cell.press == press), 2) for press in presses]
         ms = [_number(times.get((sensor, method, press)), 1) for press in presses]
-        lines.append(
-            [sensor, method, *rmses, _number(fmean(ious) if ious else None, 3), _number(force, 1), str(empty), *ms]
-        )
+        lines.append([sensor, method, *rmses, iou, _number(force, 1), str(empty), *ms])
     note = (
         "RMSE to the true contact in mm (symmetric), mean over membranes, seeds and objects. best-t: the tolerance\n"
-        "test with the best t of each frame. force: median error at medium and high press, of the force over the\n"
-        f"inflation. empty: presses without a patch although {MIN_TOUCHED_MM2:g} mm2 or more\n"
-        "touch. ms: per frame, on all cores, first object and membrane."
+        "test with the best t of each frame. IoU of pixels by press, 0 without a patch. force: median error at\n"
+        "medium and high press, of the force over the inflation. empty: presses without a patch although\n"
+        f"{MIN_TOUCHED_MM2:g} mm2 or more touch. ms: per frame, on all cores, first object and membrane."
     )
     failures = dict.fromkeys(f"{c.method}: {c.failure}" for c in cells if c.failure not in ("", NO_CONTACT_FOUND))
     return "\n".join([aligned(lines), note, *failures])

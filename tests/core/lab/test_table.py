@@ -116,11 +116,11 @@ def test_averages_are_over_sides_then_objects_then_seeds_then_membranes():
 
 def test_the_text_tells_missing_patches():
     cells = [
-        cell(1.0, method="fusion-membrane"), cell(0.5, method=BEST_T),
+        cell(1.0, method="fusion-membrane", iou=0.8), cell(0.5, method=BEST_T),
         cell(None, object="cube", method="fusion-membrane", failure=table.NO_CONTACT_FOUND, true_mm2=500.0),
         cell(None, object="cube", method="mechanics", failure="it gave up", true_mm2=500.0),
     ]  # fmt: skip
     text = table_text(cells, {("a", "fusion-membrane", "low"): 3.14})
     line = next(line for line in text.splitlines() if "fusion-membrane" in line)
-    assert line.split() == ["a", "fusion-membrane", "1.00", "-", "-", "1", "3.1"]
+    assert line.split() == ["a", "fusion-membrane", "1.00", "0.40", "-", "1", "3.1"]
     assert "mechanics: it gave up" in text
