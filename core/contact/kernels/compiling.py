@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from numba import njit
 from numba.core import event
 
-_PACKAGE = f"{__name__.partition('.')[0]}."
 _kernels: list[Any] = []
 
 
@@ -33,7 +30,7 @@ def kernel(function: Callable[..., Any], *, allocates: bool = False, **options: 
         compiled = njit(nogil=True, cache=True, **options)(function)
         # numba checks the kernel's own file only, but code of other files is compiled into it; and it compares versions
         # before it reads anything else, which may name types that another version of this package had
-        compiled._cache._cache_file._version += f" {_stamp(function)}"
+        compiled._cache._cache_file._version += f" {_stamp(function.__code__.co_filename)}"
     except RuntimeError:  # numba found no writable cache folder
         compiled = njit(nogil=True, **options)(function)
     _kernels.append(compiled)
@@ -45,30 +42,11 @@ def inline(function: Callable[..., Any]) -> Any:
     return njit(inline="always")(function)
 
 
-def _stamp(function: Callable[..., Any]) -> tuple[tuple[str, int, int], ...]:
-    """Return name, time and size of every file of this package whose code may be part of a kernel."""
-    files = [(path, path.stat()) for path in map(Path, source_files(function.__module__)) if path.exists()]
-    return tuple((path.name, stat.st_mtime_ns, stat.st_size) for path, stat in files)
-
-
 @cache
-def source_files(module_name: str) -> tuple[str, ...]:
-    """Return the files of a module and, recursively, of the modules of this package that it imports from."""
-    found: dict[str, str] = {}
-    waiting = [module_name]
-    while waiting:
-        name = waiting.pop()
-        module = sys.modules.get(name)
-        file = getattr(module, "__file__", None)
-        if name in found or module is None or file is None:
-            continue
-        found[name] = file
-        for value in list(vars(module).values()):
-            python = getattr(value, "py_func", value)
-            home = python.__name__ if isinstance(python, ModuleType) else getattr(python, "__module__", None)
-            if isinstance(home, str) and home.startswith(_PACKAGE):
-                waiting.append(home)
-    return tuple(found[name] for name in sorted(found))
+def _stamp(file: str) -> tuple[tuple[str, int, int], ...]:
+    """Return name, time and size of every file whose code may be part of a kernel: those beside it, and those here."""
+    files = sorted({path for folder in {Path(file).parent, Path(__file__).parent} for path in folder.glob("*.py")})
+    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in files)
 
 
 @dataclass(frozen=True)
@@ -110,8 +88,8 @@ def counting_compiled(told: Callable[[int], object]) -> Iterator[None]:
 
 def is_kept(compiled: Any) -> bool:
     """Return whether the machine code of a kernel is cached and newer than its sources."""
-    folder, source = compiled.stats.cache_path, Path(compiled.py_func.__code__.co_filename)
+    folder, source = compiled.stats.cache_path, compiled.py_func.__code__.co_filename
     if not folder:
         return False
-    written = [file.stat().st_mtime_ns for file in Path(folder).glob(f"{source.stem}.{compiled.__name__}-*.nbi")]
-    return bool(written) and max(written) >= max(time_ns for _, time_ns, _ in _stamp(compiled.py_func))
+    written = [file.stat().st_mtime_ns for file in Path(folder).glob(f"{Path(source).stem}.{compiled.__name__}-*.nbi")]
+    return bool(written) and max(written) >= max(time_ns for _, time_ns, _ in _stamp(source))
