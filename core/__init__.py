@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from .preset import Preset as Preset
     from .preset.file import save_preset as save_preset
     from .rig.noise import measure_noise as measure_noise
+    from .rig.untouched import find_untouched as find_untouched
+    from .rig.untouched import kept_untouched as kept_untouched
     from .sources.presets import load_preset as load_preset
     from .sources.registry import open_source as open_source
     from .tuning.advice.proposal import Evidence as Evidence
@@ -47,6 +49,8 @@ _HOME = {
     "TactuneError": ".errors",
     "TiltEstimator": ".estimation.tilt",
     "calibrate": ".calibration.calibrate",
+    "find_untouched": ".rig.untouched",
+    "kept_untouched": ".rig.untouched",
     "load_preset": ".sources.presets",
     "measure_noise": ".rig.noise",
     "open_source": ".sources.registry",

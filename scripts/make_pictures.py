@@ -104,7 +104,7 @@ def window() -> None:
             settle(0.1)
             buffer = QBuffer()
             buffer.open(QIODevice.OpenModeFlag.ReadWrite)
-            smaller = window.views.grab().scaledToWidth(900, Qt.TransformationMode.SmoothTransformation)
+            smaller = window.views.picture().scaledToWidth(900, Qt.TransformationMode.SmoothTransformation)
             smaller.save(buffer, "PNG")
             with Image.open(BytesIO(buffer.data().data())) as image:
                 images.append(image.convert("P", palette=Image.Palette.ADAPTIVE, colors=64))

@@ -257,9 +257,11 @@ class CalibrationWizard(QDialog):
         self.next.setEnabled(not missing)
         self.save.setEnabled(report is not None and not self.fitter.busy)
         action, onward = self.page_actions.get(step), self.save if step == _SAVE else self.next
+        following = self.leave if step == _SAVE and self._done(_SAVE) else action if missing and action else onward
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setVisible(push in {action, onward})
-            push.setDefault(push is (action if missing and action is not None else onward))
+        for push in (*self.page_actions.values(), self.leave, self.next, self.save):
+            push.setDefault(push is following)
 
     # Files
 

@@ -33,8 +33,7 @@ def as_python(document: Document, source: str) -> str:
     changes = f".with_values({pformat(values, sort_dicts=False)})" if values else ""
     force = ", patch.force_n" if document.preset.contact_test == "pressure" else ""
     return f"""\
-from tactune.core import ContactPipeline, load_preset, open_source
-from tactune.core.rig.untouched import {_finder(document)}
+from tactune.core import ContactPipeline, {_finder(document)}, load_preset, open_source
 
 preset = load_preset({origin!r}){changes}
 with open_source({source!r}, cameras=preset.cameras) as source:

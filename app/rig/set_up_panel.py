@@ -201,6 +201,7 @@ class SetUpPanel(QWidget):
         self.start.setDefault(True)
         self.headline = NoteLabel(lines=4)
         self.save = text_button(actions["save"])
+        self.save.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)  # an icon is dark, also on blue
         top, bottom = hbox((self.start, 1), self.skip, margins=0), hbox(STRETCH, self.save, margins=0)
         vbox(top, self.headline, *self.rows, bottom, STRETCH, within=self, margins=8, spacing=2)
         self.setAccessibleName("Set up")
@@ -377,7 +378,7 @@ class SetUpPanel(QWidget):
         self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)
         self.headline.setText(self._headline(following))
         saves = following is None and self._context.document.dirty  # the next step is blue
-        self.start.setDefault(not saves)
+        self.start.setDefault(following is not None)
         if self.save.property("primary") != saves:
             self.save.setProperty("primary", saves)
             if (style := self.save.style()) is not None:
@@ -389,8 +390,8 @@ class SetUpPanel(QWidget):
         document = self._context.document
         if following is None:
             judged = "" if document.preset.verdict is None else document.preset.verdict.sentence
-            save = " Save the preset; its untouched frame is a second file beside it." if document.dirty else ""
-            return f"{judged}{save}".strip()
+            save = "Save the preset; its untouched frame is a second file beside it."
+            return f"{judged} {save if document.dirty else 'Next: record and run (Ctrl+3).'}".strip()
         if following.work is not None and following.work.busy:
             return f"{following.work.doing}."
         return following.failure or f"Next: {following.title.lower()}."

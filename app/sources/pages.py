@@ -101,7 +101,7 @@ class FilesPage(SourcePage):
         self.list.setSpacing(2)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         buttons = hbox(self.file, self.folder, self.simulator, STRETCH)
-        vbox(buttons, wrapped_label("Open before:"), (self.list, 1), within=self, margins=8)
+        vbox(buttons, wrapped_label("Opened before:"), (self.list, 1), within=self, margins=8)
         for name in settings.recent(RECENT):
             item = QListWidgetItem(name)
             item.setData(Qt.ItemDataRole.UserRole, name)

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QImage
-from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import ExportError
 from ...core.model.arrays import Uint8Array
@@ -19,6 +18,7 @@ from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.playback import PlaybackState
 from ..worker.results import Result
+from .view_area import ViewArea
 
 SUFFIXES: Final = (".gif", ".mp4")
 #: Size limits of a GIF, whose pictures are large: width in pixels, and pictures a second.
@@ -33,7 +33,7 @@ class Animation(QObject):
     _asked = pyqtSignal(int)  # for the picture of this frame
     _ended = pyqtSignal()
 
-    def __init__(self, context: Context, views: QWidget) -> None:
+    def __init__(self, context: Context, views: ViewArea) -> None:
         super().__init__(context)
         self._context, self._views = context, views
         self._wanted: int | None = None
@@ -109,7 +109,7 @@ class Animation(QObject):
             self._context.worker.seek(self._wanted)
             return
         self._wanted = None
-        self._pictures.put(_pixels(self._views.grab().toImage(), self._width_px))
+        self._pictures.put(_pixels(self._views.picture().toImage(), self._width_px))
 
 
 def _pixels(image: QImage, width_px: int | None) -> Uint8Array:

@@ -6,13 +6,13 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import ExportError, counted
 from ...core.output.calibration_files import export_calibration
 from ...core.output.cloud_files import SUFFIXES, patch_columns, write_cloud
 from ...core.output.hdf5 import export_hdf5
 from ...core.output.writer import export_mcap
+from ...core.sources.base import split_topics
 from ...core.sources.registry import open_source
 from ...core.tuning.share import share_mcap
 from ...widgets.basics.controls import ProgressCard
@@ -22,6 +22,8 @@ from ..worker.jobs import Job, Progress, Work
 from ..worker.results import Result
 from . import animation
 from .animation import Animation
+from .files import file_name
+from .view_area import ViewArea
 
 _PATCH = ["Patch, PLY (*.ply)", "Patch, NumPy (*.npz)", "Patch, table (*.csv)"]
 _RECORDING = ["Recording to share: frames, preset, patches (*.mcap)", "Recording, HDF5 (*.h5)"]
@@ -36,7 +38,7 @@ _CALIBRATIONS = {
 class Export(QObject):
     """Exports on a thread; the chosen filter, or the end of a typed name, decides what is written."""
 
-    def __init__(self, context: Context, bar: ProgressCard, views: QWidget) -> None:
+    def __init__(self, context: Context, bar: ProgressCard, views: ViewArea) -> None:
         super().__init__(context)
         self._context, self._animation = context, Animation(context, views)
         self._job = Job(self)
@@ -65,7 +67,7 @@ class Export(QObject):
         if result is None:
             return
         filters = sorted(self.kinds(), key=lambda each: each != kind)
-        suggestion = f"frame_{result.frame_number:06d}"
+        suggestion = f"{file_name(Path(split_topics(result.source.name)[0]).stem)}_{result.frame_number}"
         self._context.dialogs.save_file("export", "Export", suggestion, filters, partial(self._export, result))
 
     def close(self) -> None:

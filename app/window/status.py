@@ -21,7 +21,7 @@ _UNKNOWN = "–"
 
 
 def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
-    """Return the numbers that stand on the patch: area, doubt, frame rate and centroid."""
+    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate."""
     patch, doubt = result.patch, result.doubt
     area = touches = edge = centroid = _UNKNOWN
     if patch is not None:
@@ -37,14 +37,14 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     if patch is not None and patch.pressure is not None:
         names = ("force over inflation", "00,000 ± 0,000 mm²") if patch.force_n is None else ("force", "00.00 ± 0.00 N")
         force = [Reading((result.area_mm2 > 0 and patch.pressure.words()) or _UNKNOWN, *names)]
-    rate = f"{shown_fps:.0f} fps" if result.playback.playing else _UNKNOWN
+    rate = [Reading(f"{shown_fps:.0f} fps", "frame rate", "00 fps")] if result.playback.playing else []
     return (
         Reading(area, "area", "00,000 mm²"),
         Reading(touches, "touches", "100 %"),
-        *force,
-        Reading(rate, "frame rate", "00 fps"),
-        Reading(centroid, "centroid x, y, z in mm", "−000, −000, 000"),
         Reading(edge, "edge", "±00.0 mm"),
+        *force,
+        Reading(centroid, "centroid x, y, z in mm", "−000, −000, 000"),
+        *rate,
     )
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtCore import QPoint, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QPainter, QPixmap, QResizeEvent
 from PyQt6.QtWidgets import QSlider, QWidget
 
 from ...core.contact.pipeline import ContactPatch
@@ -280,6 +280,19 @@ class ViewArea(QWidget):
 
     def _any_view(self) -> CloudView:
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
+
+    def picture(self) -> QPixmap:
+        """Return the views and images without the controls between them."""
+        ratio = self.devicePixelRatioF()
+        picture = QPixmap((self.size().toSizeF() * ratio).toSize())
+        picture.setDevicePixelRatio(ratio)
+        picture.fill(self.palette().window().color())
+        painter = QPainter(picture)
+        for part in (*self.views.values(), *self.strip.panes.values()):
+            if part.isVisible():
+                painter.drawPixmap(part.mapTo(self, QPoint()), part.grab())
+        painter.end()
+        return picture
 
     def restore(self, point_size: float, color_by: str) -> None:
         if color_by in list(ColorBy):

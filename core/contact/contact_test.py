@@ -39,7 +39,7 @@ class DropReason(NamedTuple):
     action: str = ""
 
 
-MASK_REASON: Final = DropReason("the mask", "correct if nothing touches; otherwise narrow its colour ranges")
+MASK_REASON: Final = DropReason("the mask", "if something touches, narrow its colour ranges")
 
 
 class BiasLimits(NamedTuple):
@@ -160,5 +160,5 @@ class ContactTest(ABC):
         by = max(dropped, key=lambda verdict: dropped[verdict])
         reason = cls.drop_reasons[by]
         share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
-        sentence = f"{counted(total, 'point')} {cls.near_words}, but {reason.step} dropped {share}: {reason.remedy}"
-        return sentence, reason.action
+        near = f"{counted(total, 'point')} {cls.near_words}"
+        return f"No contact: {near}, but {reason.step} dropped {share}; {reason.remedy}", reason.action

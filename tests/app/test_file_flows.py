@@ -81,7 +81,7 @@ def test_an_animation_shows_the_views_of_the_marked_frames(window, qtbot, tmp_pa
         assert abs(pictures[0].shape[1] - window.views.width()) < 2
         window.worker.seek(3)
         qtbot.waitUntil(lambda: at_rest(window, 3) and window.result.playback.index == 3)
-        shown = _pixels(window.views.grab().toImage(), None)[:, :, ::-1].astype(int)
+        shown = _pixels(window.views.picture().toImage(), None)[:, :, ::-1].astype(int)
         near = [np.abs(picture.astype(int) - shown).mean() for picture in pictures]
         assert np.argmin(near) == 2 and near[2] < 6
 

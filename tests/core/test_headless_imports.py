@@ -43,7 +43,7 @@ print(all(getattr(tactune.core, name) is not None for name in tactune.core.__all
 print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "OpenGL", "open3d", "optuna", "trimesh"}))
 """
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
-    assert done.stdout.splitlines() == ["True 18", "[]"], done.stderr
+    assert done.stdout.splitlines() == ["True 20", "[]"], done.stderr
 
 
 def test_the_commands_that_need_no_window_import_none():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -173,11 +174,15 @@ def readings_image(size: QSize, readings: tuple[Reading, ...], plate: str, ratio
     large, small = text_font("title", bold=True), text_font("caption")
     numbers, captions = QFontMetrics(large), QFontMetrics(small)
     left, gap, height = 8, 12, numbers.height() + captions.height() + 4
+    widths = [
+        max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words)) for _, words, widest in readings
+    ]
+    total = left + sum(widths) + gap * len(widths)
+    share = total / math.ceil(total / max(1, size.width()))  # rows are about equally long
     places: list[QRect] = []
     x, y = left, 4
-    for _, words, widest in readings:
-        taken = max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words))
-        if x + taken >= size.width() and x > left:
+    for taken in widths:
+        if x > left and (x + taken >= size.width() or x > share):
             x, y = left, y + height
             if y + height > size.height() / 2:
                 y -= height

@@ -26,8 +26,6 @@ PANES = {
 TABS = {"color": "Colour", "proximity": "Proximity", "tactile": "Tactile", "difference": "Difference"}
 #: The panes that a rig with a tactile camera only does not have.
 _OF_TWO_CAMERAS = ("proximity", "difference")
-
-_EMPTY = "No frame yet"
 #: From this size on, in pixels, all images are shown instead of one with tabs.
 _ROOM_FOR_ALL = QSize(640, 400)
 
@@ -99,7 +97,6 @@ class ImageStrip(QWidget):
             self.tabs.addTab(TABS[name])
             self.tabs.setTabToolTip(index, PANES[name])
             grid.addWidget(pane, index // 2, index % 2)
-            pane.notice.set_text(_EMPTY)
             self._connect_pane(name, pane)
         self.tabs.currentChanged.connect(lambda _: self.show_panes())
         vbox(self.tabs, (grid, 1), self.readout, within=self, margins=0, spacing=4)
@@ -117,7 +114,6 @@ class ImageStrip(QWidget):
             elif name in rendered.panes:  # others are hidden
                 pixels = None if right is None else right.panes.get(name)
                 pane.set_pixels(rendered.panes[name], rendered.size, rendered.stride, pixels)
-            pane.notice.set_text(_EMPTY if rendered is None else "")
         if rendered is None:
             return
         if rendered.size != self._size:

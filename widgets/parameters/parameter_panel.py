@@ -358,6 +358,9 @@ def _bar_button(text: str, tip: str, name: str) -> QToolButton:
 def _note() -> QLabel:
     label = wrapped_label()
     label.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+    policy = label.sizePolicy()
+    policy.setRetainSizeWhenHidden(True)  # nothing below moves under the mouse
+    label.setSizePolicy(policy)
     label.hide()
     return label
 

@@ -39,7 +39,7 @@ class MembraneTest(ContactTest):
         Provenance.MASKED: MASK_REASON,
         Provenance.RIM: DropReason(
             "the membrane's equilibrium",
-            "correct if nothing touches; otherwise measure the rig's bias (F6)",
+            "if something touches, measure the rig's bias (F6)",
             "measure_noise",
         ),
         Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
