@@ -18,12 +18,10 @@ from hands import (
     answer_question,
     drag_slider,
     drop,
-    press,
     shows_preset_of_document,
     tolerance_slider,
     type_path,
 )
-from tactune.app.document.keeping import Autosave
 from tactune.app.window.animation import _pixels
 from tactune.core.sources.presets import load_preset
 
@@ -108,6 +106,8 @@ def test_another_recording_ends_an_animation_with_a_sentence(window, qtbot, tmp_
     drop(window, tmp_path / "recording")
     qtbot.waitUntil(lambda: any("another source" in each for each in window.messages.sentences()))
     assert not list(tmp_path.glob("*.mp4"))
+    assert window.result.source.name == f"folder:{tmp_path / 'recording'}" and window.result.source.length == 2
+    assert "recording" in window.mode_bar.source.text()
 
 
 def test_the_calibration_is_exported_by_the_same_dialog(window, qtbot, tmp_path):
@@ -124,16 +124,6 @@ def test_the_calibration_is_exported_by_the_same_dialog(window, qtbot, tmp_path)
     QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
     type_path(qtbot, tmp_path / "a.obj")
     qtbot.waitUntil(lambda: any("does not say what to export" in each for each in window.messages.sentences()))
-
-
-def test_drop_a_recording(window, qtbot, tmp_path):
-    from tactune.core.sources.folder import export_folder
-
-    export_folder(FakeSource(length=2), tmp_path / "recording")
-    drop(window, tmp_path / "recording")
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name.startswith("folder:"))
-    assert window.result.source.length == 2
-    assert "recording" in window.mode_bar.source.text()
 
 
 WRONG_FILES = [
@@ -193,35 +183,6 @@ def test_a_shipped_preset_is_saved_under_a_name_of_ones_own(window, qtbot):
     [path] = QApplication.activeModalWidget().selectedFiles()
     QTest.keyClick(QApplication.activeModalWidget(), Qt.Key.Key_Escape)
     assert path.endswith("/my-simulator.json")
-
-
-def offer(window):
-    message = window.messages.by_key.get("recovery")
-    assert message is not None
-    return message
-
-
-@pytest.fixture
-def crashed(qtbot, preset, tmp_path):
-    """What a window leaves that died with unsaved changes."""
-    from tactune.app.document.document import Document
-
-    document = Document(preset)
-    autosave = Autosave(document, tmp_path / "unsaved")
-    document.edit("tolerance.t", 0.0123)
-    autosave.flush()
-    autosave.close(keep=True)
-    return autosave.file
-
-
-def test_after_a_crash_unsaved_work_is_offered_and_restored(crashed, own_window, qtbot):
-    own_window.file_flows.offer_unsaved_work()
-    press(offer(own_window), "Restore")
-    assert own_window.document.preset.tolerance.t == 0.0123
-    assert own_window.document.dirty
-    qtbot.waitUntil(lambda: not crashed.exists())
-    assert own_window.messages.by_key.get("recovery") is None
-    qtbot.waitUntil(own_window.autosave.file.exists)
 
 
 def test_a_saved_preset_knows_the_rig_it_was_tuned_on(window, qtbot, tmp_path):

@@ -94,13 +94,6 @@ def test_an_option_is_set_between_frames_and_the_newest_value_counts(watched, ca
     assert watched.refusals == []
 
 
-def test_a_refused_option_is_a_sentence(watched, cameras, qtbot):
-    cameras.refuses.add("exposure")
-    watched.worker.set_option("tactile", "exposure", 5.0)
-    qtbot.waitUntil(lambda: len(watched.refusals) == 1)
-    assert watched.refusals == ["the tactile camera refuses exposure = 5: switch auto exposure off first"]
-
-
 def test_frames_that_come_too_fast_are_dropped_and_counted(watched, cameras, qtbot):
     released = 1
 

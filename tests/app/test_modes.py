@@ -93,6 +93,9 @@ def test_the_next_step_has_its_button(window, qtbot):
     assert window.modes.button.defaultAction() is window.actions_.suggest_all
     window.document.edit("tolerance.t", 0.02)
     assert window.modes.button.defaultAction() is window.actions_.save
+    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
+    show_source(qtbot, window, FakeSource(live=True))
+    qtbot.waitUntil(lambda: window.modes.button.defaultAction() is window.actions_.record)
 
 
 @pytest.mark.parametrize("contact_test", CONTACT_TESTS)
@@ -108,13 +111,6 @@ def test_sliders_are_long_enough_to_aim_with_in_a_small_window(window, qtbot, co
     for row in window.panel.rows.values():
         if row.label.isVisible():
             assert row.label.width() >= row.label.sizeHint().width()
-
-
-def test_what_is_live_is_recorded_and_a_recording_is_exported(window, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
-    assert window.modes.button.defaultAction() is window.actions_.export
-    show_source(qtbot, window, FakeSource(live=True))
-    qtbot.waitUntil(lambda: window.modes.button.defaultAction() is window.actions_.record)
 
 
 def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):

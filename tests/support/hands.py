@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PyQt6.QtGui import QDragEnterEvent, QDropEvent
+from PyQt6.QtGui import QDragEnterEvent, QDropEvent, QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton, QSlider, QStyle
 
@@ -14,6 +14,28 @@ from tactune.widgets.basics.messages import Message
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
 CONTROL_SHIFT = CONTROL | Qt.KeyboardModifier.ShiftModifier
+
+
+def shown(qtbot, widget, *size):
+    """Show a widget in a window of its own, which has the keyboard."""
+    qtbot.addWidget(widget)
+    widget.resize(*size)
+    widget.show()
+    qtbot.waitExposed(widget)
+    widget.activateWindow()
+    qtbot.waitUntil(widget.isActiveWindow)
+    return widget
+
+
+def turn_wheel(widget, at, notches, receiver=None):
+    """Turn the wheel over a place of a widget; its events are sent to the receiver."""
+    receiver = receiver or widget
+    event = QWheelEvent(
+        widget.mapTo(receiver, at), widget.mapToGlobal(at), QPoint(), QPoint(0, 120 * notches),
+        Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
+    )  # fmt: skip
+    QApplication.sendEvent(receiver, event)
+    QApplication.processEvents()
 
 
 def drag_slider(slider, *fractions):

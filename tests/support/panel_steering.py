@@ -1,12 +1,10 @@
-"""Edits of a parameter panel, recorded from its signals, and the mouse and key events that make them."""
+"""Edits of a parameter panel, recorded from its signals."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from PyQt6.QtCore import QPoint, Qt
-from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtCore import Qt
 
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
@@ -25,11 +23,3 @@ class Recorder:
         panel.valueEdited.connect(lambda path, value, gesture: self.edits.append((path, value, gesture)))
         panel.valuesEdited.connect(lambda values, gesture: self.resets.append((values, gesture)))
         panel.eyedropperRequested.connect(self.modes.append)
-
-
-def drag(widget: QWidget, *xs: float) -> None:
-    points = [QPoint(round(x), widget.height() // 2) for x in xs]
-    QTest.mousePress(widget, LEFT, pos=points[0])
-    for point in points[1:]:
-        QTest.mouseMove(widget, point)
-    QTest.mouseRelease(widget, LEFT, pos=points[-1])

@@ -7,13 +7,14 @@ import numpy.typing as npt
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QColor, QImage, QPalette
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QHBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 
+from hands import shown
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.widgets.basics.colormaps import depth_lut
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_view import CloudView, link_cameras
+from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 LENS = Intrinsics(width=64, height=48, fx=46.0, fy=46.0, cx=31.5, cy=23.5)
@@ -22,15 +23,12 @@ RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
 FRONT = ViewCamera((0.0, 0.0, 0.3), 0.6, azimuth=0.0, elevation=0.0)
 
 
-def shown(qtbot: QtBot, widget: CloudView) -> CloudView:
-    palette = widget.palette()
+def shown_view(qtbot: QtBot, title: str = "Proximity") -> CloudView:
+    view = CloudView(title)
+    palette = view.palette()
     palette.setColor(QPalette.ColorRole.Base, QColor("white"))
-    widget.setPalette(palette)
-    widget.resize(420, 360)
-    qtbot.addWidget(widget)
-    with qtbot.waitExposed(widget):
-        widget.show()
-    return widget
+    view.setPalette(palette)
+    return shown(qtbot, view, 420, 360)  # type: ignore[no-any-return, no-untyped-call]
 
 
 def canvas_of(view: CloudView) -> QWidget:
@@ -86,18 +84,3 @@ def drag(view: CloudView, start: tuple[int, int], end: tuple[int, int], button: 
     QTest.mouseMove(handle, (a + b) / 2)
     QTest.mouseMove(handle, b)
     QTest.mouseRelease(handle, button, modifier, b)  # type: ignore[arg-type]
-
-
-def three_linked(qtbot: QtBot) -> QWidget:
-    """A window with three cloud views that share a camera."""
-    window = QWidget()
-    layout = QHBoxLayout(window)
-    views = [CloudView(title) for title in ("Proximity", "Tactile", "Contact patch")]
-    for view in views:
-        layout.addWidget(view)
-    link_cameras(views)
-    window.resize(900, 360)
-    qtbot.addWidget(window)
-    with qtbot.waitExposed(window):
-        window.show()
-    return window

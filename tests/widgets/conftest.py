@@ -3,10 +3,10 @@
 import pyqtgraph as pg
 import pytest
 
+from hands import shown
 from panel_steering import Recorder
-from seen_clouds import shown
+from seen_clouds import shown_view
 from tactune.widgets.basics.style import apply_theme
-from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 
@@ -25,19 +25,12 @@ def every_mouse_move_counts():
 
 @pytest.fixture
 def view(qtbot):
-    return shown(qtbot, CloudView("Proximity"))
+    return shown_view(qtbot, "Proximity")
 
 
 @pytest.fixture
 def panel(qtbot):
-    widget = ParameterPanel()
-    qtbot.addWidget(widget)
-    widget.resize(340, 1000)
-    widget.show()
-    qtbot.waitExposed(widget)
-    widget.activateWindow()
-    qtbot.waitUntil(widget.isActiveWindow)
-    return widget
+    return shown(qtbot, ParameterPanel(), 340, 1000)
 
 
 @pytest.fixture

@@ -8,12 +8,24 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
+from seen_clouds import (
+    BLUE,
+    FRONT,
+    GREEN,
+    RED,
+    canvas_of,
+    cloud_of,
+    colored,
+    picture,
+    pixels_of,
+    red_wall,
+    shown_view,
+    wall,
+)
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.widgets.basics.overlays import Wipe
 from tactune.widgets.clouds.cloud_canvas import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 
@@ -138,7 +150,7 @@ def dense_cloud(every=1, holes=True):
 
 
 def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot):
-    view = shown(qtbot, CloudView("V"))
+    view = shown_view(qtbot, "V")
     view.set_camera(FRONT)
     view.set_cloud(dense_cloud())
     whole = picture(view)
@@ -157,7 +169,7 @@ def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot, monkeypatch):
     monkeypatch.setattr(
         SoftwareRenderer, "render", lambda self, cloud, look: (drawn.append(cloud), render(self, cloud, look))[1]
     )
-    view = shown(qtbot, CloudView("V"))
+    view = shown_view(qtbot, "V")
     cloud = red_wall()
     view.set_cloud(cloud)
     view.set_camera(FRONT)
@@ -183,7 +195,7 @@ def test_a_large_view_is_drawn_at_half_its_resolution(qtbot, monkeypatch):
         SoftwareRenderer, "render", lambda self, cloud, look: (sizes.append(look.size), render(self, cloud, look))[1]
     )
     monkeypatch.setattr(CloudCanvas, "devicePixelRatioF", lambda canvas: 2.0)
-    view = shown(qtbot, CloudView("V"))
+    view = shown_view(qtbot, "V")
     view.set_cloud(red_wall())
     for width, height, ratio in ((420, 360, 2), (1280, 1400, 1)):
         view.resize(width, height)

@@ -4,7 +4,7 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from hands import type_into
+from hands import shown, type_into
 from tactune.core.preset import Preset
 from tactune.widgets.basics.fields import section_fields
 from tactune.widgets.parameters.editors import NumbersEditor
@@ -19,15 +19,7 @@ def spec_of(path):
 
 
 def make_slider(qtbot, path):
-    widget = NumbersEditor(spec_of(path))
-    qtbot.addWidget(widget)
-    widget.resize(260, 30)
-    widget.setValue(spec_of(path).default)
-    widget.show()
-    qtbot.waitExposed(widget)
-    widget.activateWindow()
-    qtbot.waitUntil(widget.isActiveWindow)
-    return widget
+    return shown(qtbot, NumbersEditor(spec_of(path)), 260, 30)
 
 
 def record(widget):
@@ -121,14 +113,8 @@ LEFT = Qt.MouseButton.LeftButton
 
 def make_band(qtbot, *, wraps, low=0, high=179, gap=0.0):
     slider = Slider(Scale(0, 179, step=1), 2, wraps=wraps, gap=gap)
-    qtbot.addWidget(slider)
-    slider.resize(372, 24)  # two pixels a step
     slider.set_values(low, high)
-    slider.show()
-    qtbot.waitExposed(slider)
-    slider.activateWindow()
-    qtbot.waitUntil(slider.isActiveWindow)
-    return slider
+    return shown(qtbot, slider, 372, 24)  # two pixels a step
 
 
 def record_bands(slider):

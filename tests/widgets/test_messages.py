@@ -5,6 +5,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFrame, QToolButton, QVBoxLayout, QWidget
 
+from hands import shown
 from tactune.widgets.basics import messages as module
 from tactune.widgets.basics.messages import Messages, Severity
 
@@ -20,11 +21,7 @@ def views(qtbot):
     layout.addWidget(window.over, 1)
     layout.addWidget(window.below, 1)
     window.messages = Messages(window.over)
-    window.resize(600, 700)
-    qtbot.addWidget(window)
-    window.show()
-    qtbot.waitExposed(window)
-    return window
+    return shown(qtbot, window, 600, 700)
 
 
 @pytest.fixture

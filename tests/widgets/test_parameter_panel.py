@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QApplication, QComboBox
 from hands import type_into
 from panel_steering import EYE3, EYE4, LEFT
 from tactune.core.preset import (
+    CONTACT_TESTS,
     AlignmentSection,
     HomographyAlignment,
     MaskSection,
@@ -216,26 +217,11 @@ def test_advanced_fields_are_folded_until_they_matter(panel):
     assert not trust.widget.isVisible(), "who closes it again is not disturbed"
 
 
-def test_the_contact_test_decides_which_sections_are_shown(panel, seen):
-    def shown():
-        return {name for name in ("tolerance", "outliers", "membrane") if panel.sections[name].isVisible()}
-
-    assert shown() == {"membrane"}, "the default test"
-    assert not panel.histograms["tolerance.t"].isVisible()
-    box = panel.rows["contact_test"].widget
-    assert isinstance(box, QComboBox)
-    assert "as published" in box.toolTip()
-    box.setFocus()
-    QTest.keyClick(box, Qt.Key.Key_Down)
-    assert seen.edits[-1][:2] == ("contact_test", "tolerance")
-    assert shown() == {"tolerance", "outliers"}
-    assert panel.histograms["tolerance.t"].isVisible()
-    QTest.keyClick(box, Qt.Key.Key_Up)
-    assert seen.edits[-1][:2] == ("contact_test", "membrane")
-    assert shown() == {"membrane"}
-    assert not panel.histograms["tolerance.t"].isVisible()
-    assert "ignored" in box.toolTip()
-    type_into(panel.rows["membrane.gap_m"].widget.entry, "1.1")
-    assert seen.edits[-1][:2] == ("membrane.gap_m", 0.0011)
-    panel.set_preset(Preset(contact_test="tolerance"))
-    assert shown() == {"tolerance", "outliers"}
+def test_the_contact_test_decides_which_sections_are_shown(panel):
+    sections = {section for test in CONTACT_TESTS.values() for section in test.sections}
+    for name, test in CONTACT_TESTS.items():
+        panel.set_preset(Preset(contact_test=name))
+        assert {section for section in sections if panel.sections[section].isVisible()} == set(test.sections)
+        assert test.note in panel.rows["contact_test"].widget.toolTip()
+        shown = {path for path, histogram in panel.histograms.items() if histogram.isVisible()}
+        assert all(path.partition(".")[0] in test.sections for path in shown)

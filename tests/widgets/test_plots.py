@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtGui import QWheelEvent
+from PyQt6.QtCore import QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import strip_position
+from hands import shown, strip_position, turn_wheel
 from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
 from tactune.widgets.plots.time_strip import CURVES, TimeStrip
 
@@ -17,11 +16,7 @@ EDGES = np.linspace(-0.1, 0.1, 41)
 
 @pytest.fixture
 def histogram(qtbot, qapp):
-    widget = LimitHistogram(RELATIVE_DIFFERENCE, 0.03)
-    qtbot.addWidget(widget)
-    widget.resize(320, 120)
-    widget.show()
-    qtbot.waitExposed(widget)
+    widget = shown(qtbot, LimitHistogram(RELATIVE_DIFFERENCE, 0.03), 320, 120)
     widget.set_data(np.arange(40), EDGES)
     qapp.processEvents()
     return widget
@@ -81,17 +76,12 @@ def test_dragging_a_line_moves_both_in_one_gesture(histogram, start, target):
     assert edits[-1][1] != first
 
 
-LEFT = Qt.MouseButton.LeftButton
 N = 300
 
 
 @pytest.fixture
 def strip(qtbot):
-    widget = TimeStrip()
-    qtbot.addWidget(widget)
-    widget.resize(1000, 84)
-    widget.show()
-    qtbot.waitExposed(widget)
+    widget = shown(qtbot, TimeStrip(), 1000, 84)
     seconds = np.arange(N) / 30
     values = {curve.key: np.full(N, np.nan) if curve.key == "iou" else np.arange(N, dtype=float) for curve in CURVES}
     widget.set_series(seconds, values, np.ones(N, np.bool_))
@@ -106,17 +96,6 @@ def sought(strip):
     return frames
 
 
-def turn_wheel(strip, index, notches):
-    viewport = strip.plot_widget.viewport()
-    place = strip_position(strip, index)
-    event = QWheelEvent(
-        place, QPointF(viewport.mapToGlobal(place.toPoint())), QPoint(), QPoint(0, 120 * notches),
-        Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
-    )  # fmt: skip
-    QApplication.sendEvent(viewport, event)
-    QApplication.processEvents()
-
-
 def pixels_per_frame(strip):
     return (strip_position(strip, 101).x() - strip_position(strip, 100).x()) or 1e-9
 
@@ -129,7 +108,7 @@ def test_a_click_means_the_nearest_frame(strip, sought):
 
 def test_the_wheel_zooms_and_a_double_click_shows_everything(strip, sought):
     before = pixels_per_frame(strip)
-    turn_wheel(strip, 150, 10)
+    turn_wheel(strip.plot_widget.viewport(), strip_position(strip, 150), 10)
     assert pixels_per_frame(strip) > 2 * before
     QTest.mouseClick(strip.plot_widget.viewport(), LEFT, pos=strip_position(strip, 152).toPoint())
     assert sought == [152]

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from seen_clouds import FRONT, GREEN, RED, cloud_of, colored, picture, red_wall, shown, wall
+from seen_clouds import FRONT, GREEN, RED, cloud_of, colored, picture, red_wall, shown_view, wall
 from tactune.widgets.basics.overlays import Wipe
-from tactune.widgets.clouds.cloud_view import CloudView
 
 #: Width of what the wipe paints beside its line, in pixels, and height of the names above.
 GRIP, NAMES = 10, 40
@@ -17,7 +16,7 @@ def green_wall():
 
 @pytest.fixture
 def view(qtbot):
-    made = shown(qtbot, CloudView("Patch"))
+    made = shown_view(qtbot, "Patch")
     made.set_camera(FRONT)
     made.set_cloud(red_wall())
     return made

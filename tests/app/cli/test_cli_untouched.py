@@ -69,7 +69,3 @@ def test_check_is_one_line_and_a_status(tactune, recording, captured):
     assert "The tactile camera has moved by 2.5 mm away from the membrane" in moved.out
     (captured.parent / load_preset(captured).untouched.file).unlink()
     assert tactune(*words).status == 2
-
-
-def test_check_knows_nothing_of_a_membrane_without_an_untouched_frame(tactune, recording, mine):
-    assert "no untouched frame" in tactune("check", "--source", recording, "--preset", mine).sentence

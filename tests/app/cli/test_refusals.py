@@ -34,6 +34,7 @@ REFUSED = [
     ("run --source IN --preset \x1b[2Jx --json", "[2Jx"),
     ("run --source IN --json --set tolerance.tt=1", "did you mean tolerance.t"),
     ("run --source IN --watch", "no untouched frame"),
+    ("check --source IN --preset default", "no untouched frame"),
     ("convert IN IN", "recording"),
     ("convert IN /dev/null/out", "/dev/null/out"),
     ("convert IN .", "not an empty folder"),

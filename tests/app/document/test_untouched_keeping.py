@@ -86,7 +86,10 @@ def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window,
     after = make_window()
     after.file_flows.offer_unsaved_work()
     press(after.messages.by_key.get("recovery"), "Restore")
-    assert after.document.preset.untouched == record
+    assert after.document.preset.untouched == record and after.document.dirty
+    assert after.messages.by_key.get("recovery") is None
+    qtbot.waitUntil(lambda: not (window.context.data_folder / "unsaved-0.json").exists())
+    qtbot.waitUntil(after.autosave.file.exists)
     after.document.save(tmp_path / "rescued.json")
     assert kept_beside(tmp_path / "rescued.json").any()
 

@@ -96,13 +96,6 @@ def test_noise_that_neighbours_share_is_no_movement():
 # The file
 
 
-def test_an_untouched_frame_comes_back_bit_for_bit(kept):
-    path, preset, frame = kept
-    record = record_of(preset)
-    assert record.frames == 5
-    assert content_hash(load_untouched(record, path)) == content_hash(frame) == record.sha256
-
-
 @pytest.mark.parametrize("name", [".bash_profile", "../untouched-0123456789ab.npz", "untouched-0123456789ab.npz\n"])
 def test_a_preset_names_no_other_file(name):
     with pytest.raises(ValueError, match="file"):
