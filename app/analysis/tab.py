@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any, Final
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
 from ...core.errors import as_sentence, counted
-from ...core.model.files import atomic_path
+from ...core.model.files import write_csv
 from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -164,12 +162,11 @@ class LiveTab(AnalysisTab):
         dialogs.save_file("export", "Export", f"{self.EXPORT}.csv", ["Table (*.csv)"], self.save_to)
 
     def save_to(self, path: Path) -> None:
-        """Write the rows as CSV, on another thread."""
-        text = rows_as_csv(self.COLUMNS, self.rows.values())
+        """Write the rows as CSV in the order of their first column, on another thread."""
+        rows = [dict(zip(self.COLUMNS, row, strict=True)) for row in sorted(self.rows.values(), key=lambda row: row[0])]
 
         def write(_: Progress) -> str:
-            with atomic_path(path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+            write_csv(path, rows)
             return f"The numbers were written to {path}."
 
         self._writing.start(write)
@@ -177,13 +174,3 @@ class LiveTab(AnalysisTab):
     def _complain(self, key: str, sentence: str) -> None:
         if sentence:
             self.messages.show_message(key, Severity.ERROR, as_sentence(sentence))
-
-
-def rows_as_csv(columns: Iterable[str], rows: Iterable[Row]) -> str:
-    """Return a CSV with a line for each row, in the order of the rows' first column; None is left empty."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    ordered: list[Row] = sorted(rows, key=lambda row: row[0])
-    writer.writerows(ordered)
-    return text.getvalue()

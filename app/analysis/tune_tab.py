@@ -19,7 +19,7 @@ from ...core.errors import PresetError, TactuneError, minus
 from ...core.preset import Preset
 from ...core.preset.file import save_preset
 from ...core.tuning.plan import Axis, default_axes
-from ...widgets.basics.controls import ElidedLabel, push_button
+from ...widgets.basics.controls import ElidedLabel, named, push_button
 from ...widgets.basics.fields import field_spec, format_number
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -173,7 +173,8 @@ class TuneTab(AnalysisTab):
         self._result: Result | None = None
         self._previewed: Side | None = None
         self.run = TuneRun(context.data_folder / "searches", self)
-        self.table = RecordTable(_COLUMNS, "Best trials", key=lambda trial: trial["number"], sortable=True)
+        tip = "Trials that no other beats in error and time. Choose one to preview it; Enter uses it"
+        self.table = RecordTable(_COLUMNS, "Best trials", tip, key=lambda trial: trial["number"], sortable=True)
         self.status = ElidedLabel(_WAITING)
         self.messages = Messages(self.table)
         self.fields: dict[str, QCheckBox] = {}
@@ -209,18 +210,18 @@ class TuneTab(AnalysisTab):
     def _lay_out(self) -> None:
         self.trials.setRange(1, 10_000)
         self.trials.setValue(60)
-        self.trials.setToolTip("Number of trials. More find better values; a larger number continues the search")
+        named(self.trials, "Trials", "Number of trials. More find better values; a larger number continues the search")
         self.frames.setRange(1, 1000)
         self.frames.setValue(8)
-        self.frames.setToolTip(
+        named(
+            self.frames,
+            "Frames",
             "Number of frames of each trial, between the in and out marks: spread evenly with ground truth, otherwise "
-            "consecutive from the present frame. More are more reliable and take longer"
+            "consecutive from the present frame. More are more reliable and take longer",
         )
-        self.table.setToolTip("Trials that no other beats in error and time. Choose one to preview it; Enter uses it")
         form = QFormLayout()
-        for title, entry, name in (("Tria&ls", self.trials, "Trials"), ("&Frames", self.frames, "Frames")):
-            entry.setAccessibleName(name)
-            form.addRow(title, entry)
+        form.addRow("Tria&ls", self.trials)
+        form.addRow("&Frames", self.frames)
         vbox(within=self._field_box, margins=0, spacing=4)
         panel = QWidget()
         buttons = hbox(self.start, self.stop)

@@ -108,9 +108,10 @@ class AnalysisWindow(QDialog):
         self.made: dict[str, AnalysisTab] = {}
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
-        for kind in kinds.values():
+        self._columns: dict[str, QVBoxLayout] = {}
+        for name, kind in kinds.items():
             page = QWidget()
-            QVBoxLayout(page).setContentsMargins(8, 8, 8, 8)
+            self._columns[name] = vbox(within=page, margins=8)
             self.tabs.setTabToolTip(self.tabs.addTab(page, kind.title), kind.tip)
         self.tabs.currentChanged.connect(self._tab_changed)
         vbox(self.tabs, within=self, margins=(0, 4, 0, 0))
@@ -149,12 +150,8 @@ class AnalysisWindow(QDialog):
         """Return the tab in front; make it when it is first looked at."""
         name = self._names[self.tabs.currentIndex()]
         if name not in self.made:
-            page = self.tabs.currentWidget()
-            assert page is not None
-            layout = page.layout()
-            assert layout is not None
             self.made[name] = self._make(name)
-            layout.addWidget(self.made[name])
+            self._columns[name].addWidget(self.made[name])
         return self.made[name]
 
     def _make(self, name: str) -> AnalysisTab:
@@ -164,8 +161,7 @@ class AnalysisWindow(QDialog):
         except Exception as error:  # another package's tab may raise anything
             sys.excepthook(type(error), error, error.__traceback__)
             broken = AnalysisTab()
-            label = wrapped_label(explain(error, f"the tab {name} cannot be opened"))
-            QVBoxLayout(broken).addWidget(label)
+            vbox(wrapped_label(explain(error, f"the tab {name} cannot be opened")), within=broken)
             return broken
 
     def _tab_changed(self) -> None:
@@ -175,8 +171,7 @@ class AnalysisWindow(QDialog):
 
     def showEvent(self, event: QShowEvent | None) -> None:
         super().showEvent(event)
-        self._current()
-        self.show_newest()
+        self._tab_changed()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Play or pause when nothing else takes the space bar, as in the main window."""

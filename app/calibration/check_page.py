@@ -31,8 +31,7 @@ class CheckPage(QWidget):
         self._overlay: Overlay | None = None
         self._drawn: tuple[object, ...] = ()
         self.job = Job(self)
-        self.image = PointImage("Tactile image over proximity image")
-        self.image.set_loupe_wanted(False)
+        self.image = PointImage("Tactile image over proximity image", magnifies=False)
         self.errors = wrapped_label()
         self.errors.setToolTip("Over the membrane; both alignments are compared at pairs that neither was fitted to")
         self.share = QSlider(Qt.Orientation.Horizontal)

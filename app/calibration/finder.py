@@ -12,7 +12,7 @@ from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError, counted
 from ...core.model.alignment import PointPair
 from ...core.model.frames import Rig
-from ...widgets.basics.controls import ElidedLabel, caption, push_button
+from ...widgets.basics.controls import ElidedLabel, caption, named, push_button
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import STRETCH, hbox
 from ..worker.jobs import Job, JobRow, Progress
@@ -105,10 +105,9 @@ class Finder(QWidget):
             self.target.setItemData(number, tip, Qt.ItemDataRole.ToolTipRole)
         self.columns, self.rows = QSpinBox(), QSpinBox()
         for box, name, other in ((self.columns, "columns", "row"), (self.rows, "rows", "column")):
+            named(box, f"Number of {name}", f"Number of inner corners in a {other}")
             box.setRange(3, 60)
             box.setSuffix(f" {name}")
-            box.setAccessibleName(f"Number of {name}")
-            box.setToolTip(f"Number of inner corners in a {other}")
         self.running, self.words = JobRow(self.job), ElidedLabel()
         row = (caption("&Find", self.target), self.target, self.columns, self.rows, self.running)
         hbox(*row, STRETCH, within=self, margins=0, spacing=8)
@@ -126,10 +125,6 @@ class Finder(QWidget):
         self.job.busyChanged.connect(self._show_busy)
         self._show_state(session.state)
 
-    @property
-    def busy(self) -> bool:
-        return self.job.busy
-
     def find_points(self) -> None:
         state, rig = self._session.state, self._session.rig
         self._searched = state.digests
@@ -143,7 +138,7 @@ class Finder(QWidget):
             with QSignalBlocker(box):
                 box.setValue(count)
             box.setVisible(choices.target == "chessboard")
-        self._show_busy(self.busy)
+        self._show_busy(self.job.busy)
 
     def _show_busy(self, busy: bool) -> None:
         self.words.setVisible(not busy and bool(self.words.text()))

@@ -83,10 +83,6 @@ class Fitter(QObject):
         self.job.failed.connect(lambda sentence: self.fitted.emit(Outcome(problem=sentence)))
         session.changed.connect(self.refit)
 
-    @property
-    def busy(self) -> bool:
-        return self.job.busy
-
     def refit(self) -> None:
         state, rig = self._session.state, self._session.rig
         asked = (state.complete_pairs, state.choices.model)

@@ -211,12 +211,12 @@ class CalibrationWizard(QDialog):
         state = self.session.state
         if step == 0:
             return "" if state.snapshots or state.pairs else "No snapshot yet: hold the membrane still and take one."
-        if self.points.finder.busy:
+        if self.points.finder.job.busy:
             return "The search for points is not complete yet: wait for it, or cancel it."
         few = missing_pairs(state)
         if few:
             return f"{few} Press Find points, or click them in both images."
-        return "" if self.outcome.report is not None or self.fitter.busy else self.outcome.problem
+        return "" if self.outcome.report is not None or self.fitter.job.busy else self.outcome.problem
 
     def _findings(self) -> dict[str, str]:
         """Say by step what is to be looked at; empty for nothing."""
@@ -253,9 +253,9 @@ class CalibrationWizard(QDialog):
         step, report = self.stack.currentIndex(), self.outcome.report
         missing = self._missing(step)
         fitted = self.outcome.problem if report is None else _short(report)
-        self.verdict.setText(missing or ("Fitting…" if self.fitter.busy else fitted))
+        self.verdict.setText(missing or ("Fitting…" if self.fitter.job.busy else fitted))
         self.next.setEnabled(not missing)
-        self.save.setEnabled(report is not None and not self.fitter.busy)
+        self.save.setEnabled(report is not None and not self.fitter.job.busy)
         action, onward = self.page_actions.get(step), self.save if step == _SAVE else self.next
         following = self.leave if step == _SAVE and self._done(_SAVE) else action if missing and action else onward
         for push in (*self.page_actions.values(), self.next, self.save):
@@ -286,7 +286,7 @@ class CalibrationWizard(QDialog):
     def save_preset(self) -> None:
         """Put the alignment into the preset and save its file; ask first if it is worse than the present one."""
         report = self.outcome.report
-        if report is None or self.fitter.busy:
+        if report is None or self.fitter.job.busy:
             return
         if not is_worse(report, self._document.preset):
             self._save(report)

@@ -197,15 +197,6 @@ def check_shared_memory(folder: Path = Path("/dev/shm")) -> list[Check]:  # noqa
 # Cameras
 
 
-@dataclass(frozen=True)
-class UsbCamera:
-    """A RealSense camera as listed by the operating system; ``node`` is the file that the driver opens."""
-
-    product: str
-    speed_mbit: float
-    node: Path
-
-
 def check_drivers(run: RunChild = run_child) -> list[Check]:
     """Import the RealSense driver with its system libraries, and those of other packages; a broken one is a line."""
     name = "Camera driver"
@@ -231,26 +222,7 @@ def _capital(words: str) -> str:
 
 
 def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:
-    """List the connected cameras, and check their permissions and USB speed."""
-    lines = []
-    for camera in usb_cameras(usb, nodes):
-        if not os.access(camera.node, os.R_OK | os.W_OK):
-            found = f"{camera.product}: no permission to open {camera.node}"
-            lines.append(Check("Cameras", State.FAIL, found, _INSTALL_RULES))
-        elif camera.speed_mbit < _USB3_MBIT:
-            found = f"{camera.product} on USB 2 ({camera.speed_mbit:.0f} Mbit/s)"
-            remedy = "Use a USB 3 port and a USB 3 cable; turn the plug over, push it in firmly, avoid hubs."
-            lines.append(Check("Cameras", State.FAIL, found, remedy))
-        else:
-            lines.append(Check("Cameras", State.OK, f"{camera.product} on USB 3 ({camera.speed_mbit:.0f} Mbit/s)"))
-    if lines:
-        return lines
-    remedy = "Plug the cameras in with the cables that came with them; in a container, share /dev/bus/usb."
-    return [Check("Cameras", State.WARN, "no RealSense camera is plugged in", remedy)]
-
-
-def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
-    """Return the connected RealSense cameras."""
+    """List the RealSense cameras that the operating system sees, and check their permissions and USB speed."""
 
     def read(file: Path) -> str:
         try:
@@ -258,17 +230,27 @@ def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
         except OSError:
             return ""
 
-    cameras = []
+    lines = []
     for device in sorted(usb.glob("*")):
         product = read(device / "product")
         if read(device / "idVendor") != _INTEL or "realsense" not in product.lower():
             continue
-        try:
+        try:  # the node is the file that the driver opens
             node = nodes / f"{int(read(device / 'busnum')):03d}" / f"{int(read(device / 'devnum')):03d}"
-            cameras.append(UsbCamera(product, float(read(device / "speed")), node))
+            mbit_s = float(read(device / "speed"))
         except ValueError:  # unplugged meanwhile
             continue
-    return cameras
+        if not os.access(node, os.R_OK | os.W_OK):
+            found = f"{product}: no permission to open {node}"
+            lines.append(Check("Cameras", State.FAIL, found, _INSTALL_RULES))
+        elif mbit_s < _USB3_MBIT:
+            found = f"{product} on USB 2 ({mbit_s:.0f} Mbit/s)"
+            remedy = "Use a USB 3 port and a USB 3 cable; turn the plug over, push it in firmly, avoid hubs."
+            lines.append(Check("Cameras", State.FAIL, found, remedy))
+        else:
+            lines.append(Check("Cameras", State.OK, f"{product} on USB 3 ({mbit_s:.0f} Mbit/s)"))
+    remedy = "Plug the cameras in with the cables that came with them; in a container, share /dev/bus/usb."
+    return lines or [Check("Cameras", State.WARN, "no RealSense camera is plugged in", remedy)]
 
 
 # Qt

@@ -169,10 +169,8 @@ class DriftWindow(QDialog):
         self._job = Job(self)
         self.sentence, self.unchecked = wrapped_label(_CHECKING, verdict=True), wrapped_label()
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
-        self.image = PointImage(
-            f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
-        )
-        self.image.set_loupe_wanted(False)
+        title = f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
+        self.image = PointImage(title, magnifies=False)
         self.again = push_button("Check &again", "Check on the newest frame (Ctrl+R)", "Ctrl+R")
         self.calibrate = push_button("Ca&librate…", "Open the calibration wizard")
         self.capture = push_button(

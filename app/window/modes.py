@@ -77,7 +77,6 @@ class ModeColumn(QWidget):
         super().__init__()
         self._context, self._actions, self._panels = context, actions, panels
         self._info: SourceInfo | None = None
-        self._recording = False
         self._sentence = NoteLabel(lines=2)
         self.button = QToolButton()
         self.button.setProperty("primary", True)
@@ -94,11 +93,9 @@ class ModeColumn(QWidget):
             action = self.action_of(mode)
             group.addAction(action)
             action.toggled.connect(lambda chosen, mode=mode: self._show_mode(mode) if chosen else None)
-        worker, document = context.worker, context.document
-        worker.opened.connect(self._opened)
-        worker.recordingStarted.connect(lambda _: self._show_recording(True))
-        worker.recordingEnded.connect(lambda _: self._show_recording(False))
-        for changed in (document.presetChanged, document.fileChanged):
+        document = context.document
+        context.worker.opened.connect(self._opened)
+        for changed in (document.presetChanged, document.fileChanged, actions.record.toggled):
             changed.connect(self._show_step)
         self._show_step()
 
@@ -122,13 +119,10 @@ class ModeColumn(QWidget):
         self._info = info
         self._show_step()
 
-    def _show_recording(self, running: bool) -> None:
-        self._recording = running
-        self._show_step()
-
     def _show_step(self) -> None:
         context = self._context
-        sentence, name = next_step(self.mode, self._info, context.document.dirty, self._recording)
+        recording = self._actions.record.isChecked()
+        sentence, name = next_step(self.mode, self._info, context.document.dirty, recording)
         self._step.setVisible(self.mode is not Mode.SET_UP)  # its own panel names the next step
         self._sentence.setText(sentence)
         for shown in self.button.actions():

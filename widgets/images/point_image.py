@@ -112,12 +112,12 @@ class PointImage(ImagePane):
     acceptRequested = pyqtSignal()
     cancelRequested = pyqtSignal()
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, *, magnifies: bool = True) -> None:
         super().__init__(title)
         viewport = self.view.viewport()
         self.layer = MarkLayer(self)
         self.loupe = Loupe(viewport)
-        self._loupe_wanted = True
+        self._magnifies = magnifies
         self._held: Mark | None = None
         self._held_moves = False
         self._grip = QPointF()
@@ -140,11 +140,6 @@ class PointImage(ImagePane):
         self.notice.set_text(message if pixels is None else "")
         self.loupe.set_pixels(pixels)
         self._fit_untouched()
-
-    def set_loupe_wanted(self, wanted: bool) -> None:
-        self._loupe_wanted = wanted
-        if not wanted:
-            self.loupe.hide()
 
     def show_all(self) -> None:
         self._touched = False
@@ -230,7 +225,7 @@ class PointImage(ImagePane):
     def _point_at(self, position: QPointF) -> None:
         place = self.image_place(position)
         inside = self._inside(place)
-        if self._loupe_wanted and inside:
+        if self._magnifies and inside:
             self.loupe.show_at(position, place)
         else:
             self.loupe.hide()

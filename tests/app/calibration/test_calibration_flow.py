@@ -123,7 +123,7 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     assert state().pairs[-1].proximity == nudged
 
     # Quality with the model, save
-    qtbot.waitUntil(lambda: not wizard.fitter.busy)
+    qtbot.waitUntil(lambda: not wizard.fitter.job.busy)
     QTest.keyClick(wizard, Qt.Key.Key_3, CONTROL)
     assert wizard.stack.currentIndex() == 2
     report = wizard.outcome.report

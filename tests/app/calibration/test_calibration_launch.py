@@ -80,7 +80,7 @@ def test_six_actions_lead_from_the_window_to_a_good_preset(window, scene, qtbot,
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots))
     press(wizard.next)
     press(wizard.points.finder.search)
-    qtbot.waitUntil(lambda: wizard.outcome.report is not None and not wizard.fitter.busy)
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None and not wizard.fitter.job.busy)
     press(wizard.steps.button(3))
     press(wizard.save)
     qtbot.waitUntil(lambda: not window.document.dirty)
@@ -97,7 +97,7 @@ def test_the_wizard_saves_the_preset_through_the_window(window, scene, frames, f
     window.actions_.calibrate.trigger()
     wizard = window.calibration.wizard
     wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(lambda: wizard.outcome.report is not None and not wizard.fitter.busy)
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None and not wizard.fitter.job.busy)
     QTest.keyClick(wizard, Qt.Key.Key_4, CONTROL)
     QTest.mouseClick(wizard.save, Qt.MouseButton.LeftButton)
     type_path(qtbot, tmp_path / "new.json")
