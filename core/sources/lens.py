@@ -216,6 +216,11 @@ def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) 
     return fitting[0]
 
 
+def lens_of_file(path: Path, role: str, size: tuple[int, int]) -> Lens:
+    """Return the lens that a file states for a camera."""
+    return choose_lens(read_lenses(path), role, size).lens(size)
+
+
 def pose_between(proximity: StatedLens, tactile: StatedLens, lenses: Sequence[StatedLens]) -> Matrix4 | None:
     """Return ``T_proximity_tactile`` of two cameras of one camchain, or None if it does not state it."""
     if proximity not in lenses or tactile not in lenses or proximity == tactile:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import parse_qsl
 
@@ -26,7 +27,7 @@ from ..cameras.camera import Calibration, Camera, CameraDriver, DeviceInfo, Imag
 from ..cameras.pairing import period_s
 from ..cameras.source import CameraSource
 from ..capture.source import ProcessSource
-from ..lens import Lens, camera_info_lens
+from ..lens import Lens, camera_info_lens, lens_of_file
 from ..ros_image import FLOAT_UNIT_M, RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
@@ -68,7 +69,7 @@ class Found:
             if topic not in self.images:
                 return f"no image has come on {topic}, which is to be {slot}"
             if not self.lens_topic(slot):
-                return f"the lens of {topic} is missing (a topic camera_info)"
+                return f"the lens of {topic} is missing (no camera_info; {slot.partition('.')[0]}.info=FILE names one)"
         return ""
 
 
@@ -301,8 +302,13 @@ class _Stream:
         self.kind = found.types[image.name]
         self.reader = listener.read(image.name, self.kind)
         self.waiting: deque[_Message] = deque()
-        self._infos: Reader | None = listener.read(found.lens_topic(slot), CAMERA_INFO)
+        stated = found.lens_topic(slot)
+        self._infos: Reader | None = None
         self._lens: Lens | None = None
+        if Path(stated).is_file():
+            self._lens = lens_of_file(Path(stated), slot.partition(".")[0], self.shape[::-1])
+        else:
+            self._infos = listener.read(stated, CAMERA_INFO)
 
     def take(self) -> None:
         """Add the images that have come to those that wait."""

@@ -18,7 +18,7 @@ from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ..base import Progress
 from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
-from ..lens import Lens, camera_info_lens, choose_lens, read_lenses
+from ..lens import Lens, camera_info_lens, lens_of_file
 from ..recorded import RecordedCamera, RecordedSource
 from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told
 from .bags import open_bag
@@ -226,8 +226,7 @@ class RosSource(RecordedSource):
     def _depth_lens(self, role: str, image: ImageTopic, stated: str) -> Lens:
         """Return the lens that a topic or a file states."""
         if stated not in self._bag.types and Path(stated).is_file():
-            size = image.width, image.height
-            return choose_lens(read_lenses(Path(stated)), role, size).lens(size)
+            return lens_of_file(Path(stated), role, (image.width, image.height))
         try:
             return self._lens(image, stated)
         except _GapError as gap:

@@ -146,6 +146,11 @@ def test_what_cannot_be_opened_is_one_sentence(rest, sentence, domain, monkeypat
         open_topics(rest.format(domain=domain), CamerasSection(), untold)
 
 
-def test_a_lens_that_is_unknown_is_named(domain):
-    with cameras(domain, model="spherical"), pytest.raises(SourceError, match=r"lens model 'spherical'.*known are"):
-        open_topics(f"?domain={domain}", CamerasSection(), untold)
+def test_a_lens_that_is_unknown_is_named_and_a_file_replaces_it(domain, tmp_path):
+    (tmp_path / "K.txt").write_text("610 0 424 0 610 240 0 0 1")
+    chosen = f"tactile.depth=/d405/depth/image_rect_raw,tactile.info={tmp_path / 'K.txt'}"
+    with cameras(domain, model="spherical"):
+        with pytest.raises(SourceError, match=r"lens model 'spherical'.*known are"):
+            open_topics(f"?domain={domain}", CamerasSection(), untold)
+        with open_topics(f"?domain={domain}?{chosen}", CamerasSection(), untold) as source:
+            assert source.rig.tactile.intrinsics.fx == 610
