@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -138,14 +139,12 @@ def read_forces(path: Path | str) -> Forces:
     if len(keys) != 1 or "force_n" not in header:
         raise CalibrationError(f"{path}: the columns are {foreign(', '.join(header), 80)}; they should be {_COLUMNS}")
     places = header.index(keys[0]), header.index("force_n")
-    table = np.empty((len(rows), 2))
+    table = np.full((len(rows), 2), math.nan)
     for index, (line, row) in enumerate(rows):
         for column, place in enumerate(places):
             text = row[place] if place < len(row) else ""
-            try:
+            with suppress(ValueError):
                 table[index, column] = float(text)
-            except ValueError:
-                table[index, column] = math.nan
             if not math.isfinite(table[index, column]):
                 raise CalibrationError(
                     f"{path}, line {line}: {header[place]} is {foreign(text, 40)!r}; it should be a number"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from .chain import (
 )
 from .compiling import inline, kernel
 from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scratch, ints, load, to_floats, where
-
-#: Side of the square blocks of `block_points`, pixels.
-BLOCK_PX: Final = 8
 
 #: States of pixels, as `find_differences` writes them. The colour of masked ones is the mask's; excluded ones lie
 #: outside the region, or on the membrane outside the range; unseen ones have no proximity or no tactile depth.
@@ -111,37 +108,6 @@ def find_differences(
             start = (v - top) * (right - left) + u - left
             store_lanes(out.differences, start, right - u, difference, before, float_buffer)
             store_lanes(out.states, start, right - u, state, before, int_buffer)
-
-
-@kernel
-def block_points(counts: Any, rays: Any, unit_m: Any, offset_m: Any, out: Any) -> None:
-    """Write the point of the mean depth of each block of `BLOCK_PX` pixels, times the share of pixels with a depth.
-
-    Only every fourth row is read. There are no branches, and the blocks' size is known to the compiler: it vectorises.
-
-    Parameters
-    ----------
-    counts : uint16, shape (H, W)
-    rays : float32, shape (h, w, 2)
-        x / z and y / z at the centre of each block.
-    unit_m, offset_m : float32
-        Metres of a count, and the offset added to it.
-    out : float32, shape (h, w, 4)
-        x, y and z times the share, metres, and the share.
-    """
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            total, known = np.int32(0), np.int32(0)
-            for v in range(row * BLOCK_PX, (row + 1) * BLOCK_PX, 4):
-                for i in range(BLOCK_PX):
-                    count = np.int32(counts[v, column * BLOCK_PX + i])
-                    has_depth = (count > 0) & (count < 65535)
-                    total += count if has_depth else np.int32(0)
-                    known += np.int32(has_depth)
-            share = np.float32(known / (BLOCK_PX * BLOCK_PX // 4))
-            z = share * (np.float32(total / (known if known > 0 else 1)) * unit_m + offset_m)
-            out[row, column, 0], out[row, column, 1] = rays[row, column, 0] * z, rays[row, column, 1] * z
-            out[row, column, 2], out[row, column, 3] = z, share
 
 
 @inline

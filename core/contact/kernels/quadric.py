@@ -18,38 +18,39 @@ _fast_kernel = partial(kernel, error_model="numpy")
 
 
 @_fast_kernel
-def average_cells(counts: Any, top: Any, left: Any, means: Any, shares: Any) -> None:
+def average_cells(counts: Any, top: Any, left: Any, step: Any, means: Any, shares: Any) -> None:
     """Write the mean of the valid counts (uint16) of each cell, (H, W), and the share of its pixels that are valid.
 
-    The cells begin at pixel (``top``, ``left``).
+    The cells begin at pixel (``top``, ``left``); of their rows every ``step``-th is read. Without branches, and with a
+    size that the compiler knows, it vectorises.
     """
     for row in range(means.shape[0]):
         for column in range(means.shape[1]):
             total, known = np.int32(0), np.int32(0)
-            for v in range(top + row * CELL_PX, top + (row + 1) * CELL_PX):
+            for v in range(top + row * CELL_PX, top + (row + 1) * CELL_PX, step):
                 for i in range(CELL_PX):
                     count = np.int32(counts[v, left + column * CELL_PX + i])
                     has_depth = (count > 0) & (count < 65535)
                     total += count if has_depth else np.int32(0)
                     known += np.int32(has_depth)
             means[row, column] = total / max(known, np.int32(1))
-            shares[row, column] = known / (CELL_PX * CELL_PX)
+            shares[row, column] = known * step / (CELL_PX * CELL_PX)
 
 
 @_fast_kernel
 def fit_quadrics(
-    images: Any, window: Any, least: Any, across: Any, moments: Any, work: Any, out: Any, seen: Any, growth: Any
+    images: Any, window: Any, least: Any, across: Any, moments: Any, work: Any, out: Any, growth: Any
 ) -> None:
     """Fit a quadratic about each cell in a window; write coefficients and the growth of the curvature's variance.
 
     ``images`` (2, H, W) are the weight of each cell, and its depth times that; ``window`` (5, N) is the window of one
     direction times powers of the way from its centre. ``out`` (6, H, W) and ``growth`` (H, W), the sum of the last
-    diagonal elements of the inverse that belong to xx and yy, receive nan where ``seen`` (H, W), the weight in the
-    window, is not above ``least``. ``across`` (8, H, W), ``moments`` (8, 5, W) and ``work`` (7, 6, W) are buffers: the
+    diagonal elements of the inverse that belong to xx and yy, receive nan where the weight in the window is not above
+    ``least``. ``across`` (8, H, W), ``moments`` (8, 5, W) and ``work`` (7, 6, W) are buffers: the
     cells of a row are computed side by side. The normal equations are solved by Cholesky's method, with reciprocals on
     the diagonal.
     """
-    height, width = seen.shape
+    height, width = growth.shape
     reach, cells = window.shape[1] // 2, range(width)
     for part in range(8):  # five powers of x for the weight, three for the depth
         power, image = (part, 0) if part < 5 else (part - 5, 1)
@@ -69,8 +70,7 @@ def fit_quadrics(
                     for u in cells:
                         moments[part, power, u] += window[power, reach + t] * across[part, v + t, u]
         for u in cells:
-            seen[v, u] = moments[0, 0, u]
-            growth[v, u] = 0.0 if seen[v, u] > least else np.nan
+            growth[v, u] = 0.0 if moments[0, 0, u] > least else np.nan
         for i in range(6):
             for j in range(i + 1):
                 x, y = POWERS[i, 0] + POWERS[j, 0], POWERS[i, 1] + POWERS[j, 1]

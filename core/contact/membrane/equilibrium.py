@@ -39,7 +39,9 @@ from ..kernels import cells as cell_kernels
 from ..kernels import equilibrium as kernels
 from ..kernels import membrane as membrane_kernels
 from ..kernels.cells import MembraneImage
-from ..kernels.membrane import BLOCK_PX, RayWindow
+from ..kernels.membrane import RayWindow
+from ..kernels.quadric import CELL_PX as BLOCK_PX
+from ..kernels.quadric import average_cells
 from ..kernels.threads import in_parallel
 
 
@@ -287,12 +289,13 @@ def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, ri
         return math.nan
     unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
     # Points are averaged, not depths: at the image's border their mean is shifted, but lies on the surface.
-    points, bulge = np.empty((2, *shape, 4), np.float32), np.empty(shape, np.float32)
-    membrane_kernels.block_points(
-        frame.tactile_depth, _rays_of_blocks(camera), np.float32(unit_m), np.float32(offset_m), points[0]
+    mean, share, bulge = np.empty((3, *shape), np.float32)
+    average_cells(frame.tactile_depth, 0, 0, 4, mean, share)
+    z = share * (mean * np.float32(unit_m) + np.float32(offset_m))
+    points = np.dstack([_rays_of_blocks(camera) * z[..., None], z, share])
+    membrane_kernels.bulges(
+        cv2.GaussianBlur(points, (0, 0), _WINDOW_BLOCKS, borderType=cv2.BORDER_CONSTANT), _MIN_DEPTH_SHARE, bulge
     )
-    cv2.GaussianBlur(points[0], (0, 0), _WINDOW_BLOCKS, points[1], borderType=cv2.BORDER_CONSTANT)
-    membrane_kernels.bulges(points[1], _MIN_DEPTH_SHARE, bulge)
     bulge = bulge[~np.isnan(bulge)]
     if len(bulge) < _MIN_BLOCKS:
         return math.nan

@@ -79,10 +79,9 @@ class Grid(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Coefficients of the fits, (6, H, W) over cells, nan where too little is seen; the seen share of each window."""
+    """Coefficients of the fits, (6, H, W) over cells; nan where too little is seen."""
 
     fit: Float64Array
-    share: Float64Array
     growth: Float64Array  # Of the curvature's standard deviation, against a window that is seen whole
 
 
@@ -95,7 +94,7 @@ def cells(counts: Uint16Array, unit_m: float, offset_m: float, grid: Grid) -> tu
     import cv2
 
     depth, share = np.empty_like(grid.x), np.empty_like(grid.x)
-    average_cells(counts, grid.pixels[0].start, grid.pixels[1].start, depth, share)
+    average_cells(counts, grid.pixels[0].start, grid.pixels[1].start, 1, depth, share)
     depth = depth * unit_m + offset_m
     seen = share >= _MIN_SHARE
     near, far = (np.where(seen, depth, beyond) for beyond in (np.inf, -np.inf))
@@ -112,12 +111,12 @@ def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool =
     """Fit a quadratic to the depth about each cell, in a Gaussian window of ``sigma`` cells."""
     powers, variance = _window(sigma)
     height, width = share.shape
-    found, seen, growth = np.empty((6, height, width)), np.empty_like(share), np.empty_like(share)
+    found, growth = np.empty((6, height, width)), np.empty_like(share)
     buffers = np.empty((8, height, width)), np.empty((8, 5, width)), np.empty((7, 6, width))
     least = _WINDOW_SHARE if curved else _DEPTH_SHARE
-    fit_quadrics(np.stack([share, share * depth_m]), powers, least, *buffers, found, seen, growth)
+    fit_quadrics(np.stack([share, share * depth_m]), powers, least, *buffers, found, growth)
     found /= (sigma ** POWERS.sum(axis=1))[:, None, None]
-    return Shape(found, seen, np.sqrt(np.maximum(growth / variance, 1.0)))
+    return Shape(found, np.sqrt(np.maximum(growth / variance, 1.0)))
 
 
 @lru_cache(maxsize=8)
@@ -138,7 +137,7 @@ def curvature(shape: Shape, grid: Grid) -> tuple[Float64Array, Float64Array]:
 
     They are positive where the membrane bulges away from the camera.
     """
-    twice_mean, largest = np.empty_like(shape.share), np.empty_like(shape.share)
+    twice_mean, largest = np.empty_like(grid.x), np.empty_like(grid.x)
     bend_quadrics(shape.fit, grid.x, grid.y, *grid.side, twice_mean, largest)
     return twice_mean, largest
 
