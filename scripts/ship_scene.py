@@ -1,4 +1,4 @@
-"""Solve the simulator's default scene and write it into the package, where the first start finds it.
+"""Solve the simulator's default scene, with and without its object, into the package, for the first start.
 
 Needed whenever the parameters or, with `_IMAGES_VERSION`, the code of the clean images change; a test
 says so. Older files are removed.
@@ -12,14 +12,13 @@ from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, cach
 
 
 def main() -> None:
-    """Write the file and print its size."""
-    simulator = SimulatorSource()
-    path = SHIPPED / cache_file(simulator.scene.name, f"{simulator.scene.key} {simulator.rig.model_dump_json()}").name
-    solved = simulator.solve_anew(simulator.scene, lambda share, words: None)
+    """Write the files and print their sizes."""
     for older in SHIPPED.glob("*"):
         older.unlink()
-    save_scene(path, solved)
-    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+    for source in (SimulatorSource(), SimulatorSource().with_object_away()):
+        path = SHIPPED / cache_file(source.scene.name, f"{source.scene.key} {source.rig.model_dump_json()}").name
+        save_scene(path, source.solve_anew(source.scene, lambda share, words: None))
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

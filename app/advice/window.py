@@ -118,6 +118,7 @@ class SuggestWindow(QDialog):
         self._context, self._document = context, context.document
         self._section = ALL
         self._shown: Side | None = None
+        self._applied = -1  # the place in the undo stack, until something else was done
         self._job = Job(self)
         self.cards: list[ProposalCard] = []
         self.progress = ProgressBar()
@@ -131,7 +132,7 @@ class SuggestWindow(QDialog):
             "&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)", "Ctrl+Return"
         )
         self.apply.setDefault(True)
-        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
+        self.undo = push_button("&Undo", "Take the applied suggestions back (Ctrl+Z)", "Ctrl+Z")
         self.leave = push_button("&Close", "Close this window; the preset stays as it is (Esc)")
         self._lay_out()
         self._connect()
@@ -274,13 +275,17 @@ class SuggestWindow(QDialog):
         changes = bool(self.proposal.changes)
         self.apply.setEnabled(changes)
         self.compare.setEnabled(changes)
-        self.undo.setEnabled(self._document.undo_stack.canUndo())
+        if self._document.undo_stack.index() != self._applied:
+            self._applied = -1
+        self.undo.setEnabled(self._applied > 0)
 
     def _apply(self) -> None:
         proposal = self.proposal
         if self._section == ALL:
             proposal = replace(proposal, changes={**proposal.changes, "suggested": now()})
         if self._document.apply(proposal):
+            self._applied = self._document.undo_stack.index()
+            self._show_state()
             self._say(
                 f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the "
                 "new ones. Ctrl+S saves the preset; Ctrl+Z takes the step back."

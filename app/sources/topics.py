@@ -78,6 +78,16 @@ class TopicsDialog(QDialog):
         for line, widget in enumerate((caption(title, choice), choice, picture)):
             grid.addWidget(widget, 3 * row + line, column)
         choice.currentIndexChanged.connect(self._show)
+        if slot.endswith(".depth"):
+            choice.currentIndexChanged.connect(lambda _: self._follow(slot.partition(".")[0]))
+
+    def _follow(self, role: str) -> None:
+        """With a depth, choose the colour of its camera, where none was chosen."""
+        depth, color = self.choices[f"{role}.depth"].currentData(), self.choices[f"{role}.color"]
+        camera = [image.camera for image in self._found.images if image.name == depth]
+        own = [image.name for image in self._found.images if image.kind == "color" and [image.camera] == camera]
+        if own and not color.currentData():
+            color.setCurrentIndex(color.findData(own[0]))
 
     def _pixmap(self, topic: str) -> QPixmap:
         """Return the picture of a topic; none if it could not be read."""

@@ -70,6 +70,14 @@ def test_cameras_are_exchanged_by_keys_and_one_topic_twice_is_no_choice(window, 
     assert window.result.frame.tactile_depth[0, 0] in (400, 401, 402)
 
 
+def test_the_colour_of_a_camera_comes_with_its_depth(asked):
+    dialog, _ = asked
+    depth_choice, color_choice = dialog.choices["tactile.depth"], dialog.choices["tactile.color"]
+    assert color_choice.currentData() == ""
+    depth_choice.setCurrentIndex(depth_choice.findData("/l515/depth/image_rect_raw"))
+    assert color_choice.currentData() == "/l515/color/image_raw"
+
+
 def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
     dialog, path = asked
     press(dialog, QDialogButtonBox.StandardButton.Cancel)

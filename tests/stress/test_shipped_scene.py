@@ -9,9 +9,10 @@ from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, load
 
 
 @pytest.mark.long
-def test_the_shipped_scene_is_the_solver_s():
-    (path,) = SHIPPED.glob("*.npz")
-    simulator = SimulatorSource()
+@pytest.mark.parametrize("file", ["cup-118", "cup-none"])
+def test_the_shipped_scene_is_the_solver_s(file):
+    (path,) = SHIPPED.glob(f"{file}*.npz")
+    simulator = SimulatorSource() if file == "cup-118" else SimulatorSource().with_object_away()
     solved = simulator.solve_anew(simulator.scene, lambda share, words: None)
     shipped = load_scene(path, len(solved.states))
     # Other processors round the last digits otherwise.

@@ -240,7 +240,7 @@ class RosSource(RecordedSource):
         pose = self._poses.pose(color.frame, depth.frame)
         if pose is None:
             raise _GapError(
-                f"no fixed transform joins its frame {color.frame!r} to the frame of the depth, {depth.frame!r}"
+                f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}: record /tf_static"
             )
         if not color.info and color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
             return lens, pose  # aligned to the depth

@@ -201,7 +201,7 @@ def _inflated(design: MembraneDesign) -> Membrane:
 
 
 def _title(scene: Scene) -> str:
-    return scene.name.rpartition("-")[0].replace("-", " ")
+    return f"“{scene.name.rpartition('-')[0].replace('-', ' ')}”"
 
 
 # Solved scenes on disk
