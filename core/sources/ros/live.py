@@ -320,7 +320,12 @@ class _Stream:
         if self._infos is not None:
             for data in self._infos.take():
                 info = TYPES.deserialize_cdr(data, CAMERA_INFO)
-                self._lens = camera_info_lens(info, self.shape[::-1], is_rectified=self.is_rectified)
+                try:
+                    self._lens = camera_info_lens(info, self.shape[::-1], is_rectified=self.is_rectified)
+                except SourceError as error:
+                    raise SourceError(
+                        f"{self.topic}: {error}; leave it out, or name a file of the depth's lens (--topics)"
+                    ) from error
                 if self._lens is not None:
                     self._infos = None
                     break
