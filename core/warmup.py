@@ -27,7 +27,7 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, those of the mask in the untouched frame included; of the average.
-_KERNELS: Final = {"tolerance": 10, "membrane": 13, "pressure": 8}
+_KERNELS: Final = {"tolerance": 8, "membrane": 13, "pressure": 8}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
 _LARGEST: Final[dict[str, tuple[Any, ...]]] = {

@@ -29,7 +29,7 @@ from ..kernels.simd import (
     total,
     where,
 )
-from .grid import FAR, FARTHEST, MARGIN, MAX_POINT_RADIUS
+from .grid import FARTHEST, MARGIN, MAX_POINT_RADIUS
 from .row_search import PLANE_SLACK, SQUARE_SLACK
 
 _ZERO = np.float32(0.0)
@@ -215,16 +215,6 @@ def _bound_of_nearest(nearest: Any, k: Any) -> Any:
         else:
             low = middle
     return high
-
-
-@kernel
-def part_coordinates(points: Any, out: Any) -> None:
-    """Write points (N, 3) to `Coordinates`, with the padding."""
-    count = len(points)
-    for j in range(count):
-        out.xs[j], out.ys[j], out.zs[j] = points[j, 0], points[j, 1], points[j, 2]
-    for j in range(count, (count + LANES - 1) // LANES * LANES):
-        out.xs[j], out.ys[j], out.zs[j] = _ZERO, _ZERO, FAR
 
 
 @inline

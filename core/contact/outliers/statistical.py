@@ -11,19 +11,18 @@ bits.
 
 from __future__ import annotations
 
+import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
 from ...model.patch import Candidates
-from ..kernels.compiling import kernel
-from ..kernels.simd import LANES, doubles, load, total
+from ..kernels.simd import LANES
 from ..kernels.threads import get_threads, in_parallel, scratch
 from .clusters import keep
-from .grid import MAX_POINT_RADIUS, NUMBER, Grid
-from .point_search import Cloud, Coordinates, part_coordinates, search_all, search_points
+from .grid import FAR, MAX_POINT_RADIUS, NUMBER, Grid
+from .point_search import Cloud, Coordinates, search_all, search_points
 from .row_search import search_rows
 
 #: Bound of the relative error of a float32 mean: distances differ by at most 3 units in the last place from the exact
@@ -106,7 +105,9 @@ def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Floa
     """Write the mean distance of the points numbered in ``left`` to their k nearest, comparing with every point."""
     planes = (scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
     all_points = Coordinates(len(points), *planes)
-    part_coordinates(points, all_points)
+    for plane, coordinates in zip((all_points.xs, all_points.ys, all_points.zs), points.T, strict=True):
+        plane[: len(points)] = coordinates
+        plane[len(points) : len(points) + LANES] = FAR
 
     def compare(first: int, last: int) -> None:
         squares, kept = (scratch(name, len(points) + 2 * LANES, np.float32) for name in ("squares", "kept"))
@@ -147,27 +148,9 @@ def surely_below_threshold(means: Float64Array, ratio: float) -> BoolArray | Non
     If every mean has a relative error of at most `UNCERTAINTY`, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
-    inliers = np.empty(len(means), np.bool_)
-    return inliers if _compare(means, means.mean(), ratio, UNCERTAINTY, inliers) else None
-
-
-@kernel
-def _compare(means: Any, centre: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
-    """Write which means are below the threshold, for their mean value; return whether that is certain."""
-    count = len(means)
-    whole = count - count % LANES
-    squares = doubles(0.0)
-    for i in range(0, whole, LANES):
-        away = load(means, i) - doubles(centre)
-        squares = squares + away * away
-    square = total(squares)
-    for i in range(whole, count):
-        square += (means[i] - centre) * (means[i] - centre)
-    threshold = centre + ratio * np.sqrt(square / (count - 1))
-    norm = np.sqrt((square + count * centre * centre) / (count - 1))
-    error = uncertainty * (centre + ratio * norm) * (1 + 1e-6)
-    certain = True
-    for i in range(count):
-        inliers[i] = means[i] < threshold
-        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + uncertainty * means[i]
-    return certain
+    centre, wide = means.mean(), math.sqrt(len(means) - 1)
+    threshold = centre + ratio * math.sqrt(np.square(means - centre).sum()) / wide
+    norm = math.sqrt(np.square(means).sum()) / wide
+    error = UNCERTAINTY * (centre + ratio * norm) * (1 + 1e-6)
+    certain = (means > _MIN_MEAN_M) & (np.abs(means - threshold) > error + UNCERTAINTY * means)
+    return np.asarray(means < threshold) if certain.all() else None
