@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
-from .cli.main import main
+
+def main() -> int:
+    """Run the command. SIGTERM ends it as Ctrl+C does: no process and no part of a file is left."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        from .cli.main import main as run  # here, so that Ctrl+C meanwhile has no traceback
+
+        return run()
+    except KeyboardInterrupt:
+        return 130
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -65,7 +65,8 @@ def as_sentence(clause: str) -> str:
 
 def counted(number: int, thing: str) -> str:
     """Return a number with its noun, such as ``"1 frame"`` or ``"2,000 frames"``."""
-    return f"{number:,} {thing}" + ("s" if number != 1 else "")
+    plural = "" if number == 1 else "es" if thing.endswith("s") else "s"
+    return f"{number:,} {thing}{plural}"
 
 
 def minus(number: str) -> str:

@@ -10,13 +10,11 @@ import hashlib
 import itertools
 import json
 import math
-import signal
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from concurrent.futures import as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Final
@@ -40,6 +38,7 @@ from ..sources.registry import open_source
 from ..sources.simulator.objects import HELD_OUT
 from ..sources.simulator.scenes import MEMBRANES
 from ..sources.simulator.sensors import DEFAULT_SENSOR, SENSORS
+from ..tuning.measure import local_workers
 from .methods import OF_NOISE, PIPELINES, check_methods, make_method, method_names, needed_frames
 
 PRESSES: Final = ("low", "medium", "high")
@@ -178,15 +177,15 @@ def measure_table(plan: Plan, processes: int = 0) -> Iterator[list[Cell]]:
     if count <= 1:
         yield from itertools.chain.from_iterable(_measure(plan, press) for press in presses)
         return
-    with get_context("spawn").Pool(count, _use_one_core) as pool:
-        for found in pool.imap_unordered(partial(_measure, plan), presses):
-            yield from found
+    with local_workers(count) as workers:
+        for done in as_completed([workers.submit(_measure_on_one_core, plan, press) for press in presses]):
+            yield from done.result()
 
 
-def _use_one_core() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process ends the others
+def _measure_on_one_core(plan: Plan, presses: list[tuple[Scene, int]]) -> list[list[Cell]]:
     set_threads(1)
     cv2.setNumThreads(1)
+    return _measure(plan, presses)
 
 
 def _measure(plan: Plan, presses: list[tuple[Scene, int]]) -> list[list[Cell]]:

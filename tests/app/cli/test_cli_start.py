@@ -50,6 +50,18 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+def test_a_signal_while_the_command_is_imported_has_no_traceback(sent):
+    program = (
+        "import os, signal, sys; from tactune.app.__main__ import main\n"
+        "class Sender:\n"
+        f"    def find_spec(name, *_): name == 'typer' and os.kill(os.getpid(), signal.{sent})\n"
+        "sys.meta_path.insert(0, Sender); sys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True)
+    assert (done.returncode, done.stderr) == (130, b"")
+
+
 @pytest.fixture
 def opened(monkeypatch):
     """Stand in for the window and note what it is asked to show."""

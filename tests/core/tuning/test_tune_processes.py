@@ -3,12 +3,15 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from long_search import LIMIT_S, POINTS, front_of, lines_of, trials_of
+from tactune.core.contact.kernels.threads import available_threads
 from tactune.core.tuning.measure import local_workers
 
 
@@ -63,6 +66,19 @@ def test_a_trial_that_was_measured_but_not_ended_when_its_search_was_killed_coun
     lost = {ends[number] for number in [line for line in lines_of(out) if "front" in line][-1]["front"]}
     long_search.file.write_text("".join(line for line in lines if line not in lost))
     assert front_of(tune(*words).out) == front_of(out)
+
+
+@pytest.mark.skipif(available_threads() < 2, reason="one process measures all")
+@pytest.mark.parametrize(("sent", "status"), [(signal.SIGTERM, 130), (signal.SIGKILL, -9)])
+def test_a_table_that_is_ended_leaves_no_process(sent, status, tmp_path):
+    words = (sys.executable, "-m", "tactune.app", "lab", "table", "--objects", "cup")
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL, env=environment, start_new_session=True) as process:
+        while len(living(process.pid)) < 4 and process.poll() is None:  # itself, two workers, the tracker of memory
+            time.sleep(0.1)
+        process.send_signal(sent)
+        assert process.wait(LIMIT_S) == status
+    wait_for_the_end_of(process.pid)
 
 
 def wait_for_the_end_of(session):
