@@ -21,7 +21,8 @@ from ..model.files import atomic_path
 from ..model.loading import read_file
 from ..model.rig_file import validation_sentence
 
-_REQUIRED = ("id", "enabled", "proximity_u", "proximity_v", "tactile_u", "tactile_v", "tactile_depth_m")
+_PLACES = ("proximity_u", "proximity_v", "tactile_u", "tactile_v")
+_COLUMNS = ("id", "enabled", *_PLACES, "tactile_depth_m")
 _OPTIONAL = ("proximity_image", "snapshot", "origin")
 #: A column of older files that no fit uses any more.
 _IGNORED = "proximity_depth_m"
@@ -37,11 +38,11 @@ def read_points(path: Path | str) -> list[PointPair]:
     Parameters
     ----------
     path : Path or str
-        A file as the calibration wizard or any spreadsheet writes it. Its first line names the columns: ``id, enabled,
-        proximity_u, proximity_v, tactile_u, tactile_v`` (pixels, column and row, pixel centres at integers) and
-        ``tactile_depth_m`` (raw tactile depth, metres; empty if unknown). Optional: ``proximity_image`` (``depth`` or
-        ``color``: the image in which the proximity side was clicked), ``snapshot`` (number of the inflation level,
-        from 0) and ``origin``.
+        A file as the calibration wizard or any spreadsheet writes it. Its first line names the columns:
+        ``proximity_u, proximity_v, tactile_u, tactile_v`` (pixels, column and row, pixel centres at integers).
+        Optional: ``id`` (else the row's number), ``enabled``, ``tactile_depth_m`` (raw tactile depth, metres; empty if
+        unknown), ``proximity_image`` (``depth`` or ``color``: the image in which the proximity side was clicked),
+        ``snapshot`` (number of the inflation level, from 0) and ``origin``.
 
     Returns
     -------
@@ -54,20 +55,21 @@ def read_points(path: Path | str) -> list[PointPair]:
         The file cannot be read, has another header or an invalid row; the message names line, column and value.
     """
     header, rows = read_table(path, "points", texts=("id", "origin", "proximity_image"))
-    missing = [name for name in _REQUIRED if name not in header]
-    unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
+    missing = [name for name in _PLACES if name not in header]
+    unknown = [name for name in header if name not in (*_COLUMNS, *_OPTIONAL, _IGNORED)]
     twice = [name for name in header if header.count(name) > 1]
     if twice:
         raise CalibrationError(f"{path}: the header has the column {foreign(twice[0], 40)!r} twice; remove one")
     if missing or unknown:
         what = f"lacks the column {missing[0]}" if missing else f"has the column {foreign(unknown[0], 40)!r}"
-        raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
+        raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_COLUMNS)}")
     pairs: dict[str, PointPair] = {}
-    for line, row in rows:
+    for number, (line, row) in enumerate(rows, 1):
         where = f"{path}, line {line}"
         if len(row) != len(header):
             raise CalibrationError(f"{where}: there are not {len(header)} values as in the header; correct the row")
-        pair = _pair(dict(zip(header, row, strict=True)), where)
+        fields = dict(zip(header, row, strict=True))
+        pair = _pair({"id": str(number), "enabled": "1"} | fields, where)
         if pair.id in pairs:
             raise CalibrationError(
                 f"{where}: id {foreign(pair.id, 40)!r} is taken by an earlier row; give each pair its own"
@@ -78,7 +80,7 @@ def read_points(path: Path | str) -> list[PointPair]:
 
 def _pair(fields: dict[str, str], where: str) -> PointPair:
     fields = {name: value for name, value in fields.items() if value.lower() not in ("", "nan", "none")}
-    for name in _REQUIRED[:-1]:  # a tactile depth may be missing
+    for name in _COLUMNS[:-1]:  # a tactile depth may be missing
         if name not in fields:
             raise CalibrationError(f"{where}: {name} has no value; give one")
     try:
@@ -91,7 +93,7 @@ def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:
     """Write complete pairs as CSV, atomically; floats are exact. Optional columns appear if any row has a value."""
     extra = [name for name in _OPTIONAL if any(getattr(pair, name) not in (None, "", "depth") for pair in pairs)]
     file = io.StringIO()
-    writer = csv.DictWriter(file, [*_REQUIRED, *extra], extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(file, [*_COLUMNS, *extra], extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(pair.model_dump() | {"enabled": int(pair.enabled)} for pair in pairs)
     with atomic_path(Path(path)) as temporary:

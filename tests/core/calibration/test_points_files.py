@@ -41,11 +41,17 @@ def test_plain_pairs_are_written_with_the_plain_header(tmp_path):
     assert (tmp_path / "points.csv").read_text() == text
 
 
+def test_four_columns_are_enough(tmp_path):
+    (tmp_path / "four.csv").write_text("tactile_u,tactile_v,proximity_u,proximity_v\n1,2,3,4\n\n5,6,7,8\n")
+    pixels = {"tactile_u": 5, "tactile_v": 6, "proximity_u": 7, "proximity_v": 8}
+    assert read_points(tmp_path / "four.csv")[1] == PointPair(id="2", **pixels)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "lacks the column id"),
-        ("a,b\n1,2\n", "lacks the column id"),
+        ("", "lacks the column proximity_u"),
+        ("a,b\n1,2\n", "lacks the column proximity_u"),
         (f"{HEADER},colour\n", "column 'colour'"),
         (f"{HEADER}\n1,1,2,3,4,5\n", "line 2: there are not 7 values"),
         (f"{HEADER}\n1,1,2,3,4,5,0.3\n1,1,2,3,4,6,0.3\n", "line 3: id '1' is taken"),
