@@ -54,6 +54,8 @@ TOLERANCES: Final = (0.003, 0.004, 0.005, 0.006, 0.007, 0.008, 0.010, 0.012, 0.0
 FRAMES: Final = 16
 _TIMED_FRAMES: Final = 5
 
+#: True points from which the distance to a patch is measured.
+_SAMPLES: Final = 6000
 NO_CONTACT_FOUND: Final = "it found no contact although there is one"
 #: Smallest contact in which an empty patch counts as a failure, mm^2.
 MIN_TOUCHED_MM2: Final = 200.0
@@ -245,16 +247,15 @@ def score(plan: Plan, scene: Scene, seed: int, source: FrameSource, rig: _Rig) -
             patches[name] = _patches(name, plan.preset, rig, source, frames)
         except TactuneError as error:
             failures[name] = str(error)
-    rmses = iter(TruthTree(truth).symmetric_rmses_m([patch.points for found in patches.values() for patch in found]))
+    tree = TruthTree(truth, _SAMPLES)
     base = Cell(scene.sensor, scene.membrane, scene.object, scene.press, scene.side, seed, "", true_mm2=true_mm2)
     cells = []
     for name in plan.methods:
-        scored = [(next(rmses), patch) for patch in patches.get(name, ())]
-        whole = [pair for pair in scored if len(pair[1].points)]
-        if not whole:
+        scored = [(tree.symmetric_rmse_m(patch.points), patch) for patch in patches.get(name, ()) if len(patch.points)]
+        if not scored:
             cells.append(replace(base, method=name, failure=failures.get(name, NO_CONTACT_FOUND)))
             continue
-        rmse_m, patch = min(whole, key=lambda pair: pair[0])
+        rmse_m, patch = min(scored, key=lambda pair: pair[0])
         iou = pixel_scores(patch.mask, known.contact).iou
         rmse_mm = finite_or_none(1e3 * rmse_m)
         missed = _force_error(patch, known)

@@ -127,7 +127,7 @@ class _Truth:
         assert frame.truth is not None
         self._contact = frame.truth.contact
         self._points, _ = true_contact(frame, rig)
-        self._tree = TruthTree(self._points, samples=max(1, len(self._points)))
+        self._tree = TruthTree(self._points)
 
     def compare(self, patch: ContactPatch) -> dict[str, float]:
         """Return the figures of a patch that need truth; without true depth only the IoU."""
@@ -143,7 +143,7 @@ class _Truth:
         patch within it exceeds: finding nothing must never pay.
         """
         if len(points) and len(self._points):
-            return 1e3 * self._tree.symmetric_rmses_m([points])[0]
+            return 1e3 * self._tree.symmetric_rmse_m(points)
         cloud = points if len(points) else self._points
         return 1e3 * float(np.linalg.norm(np.ptp(cloud, axis=0))) if len(cloud) else math.nan
 
