@@ -28,7 +28,7 @@ from ...model.arrays import Int64Array
 from ..base import Progress, part_of
 from ..ros_image import DamagedFileError, damage_told
 from .mcap import MAGIC, McapBag
-from .messages import Bag, long_name, unpack_file, unpacked
+from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpack_file, unpacked
 
 METADATA: Final = "metadata.yaml"
 #: Endings of the files in a folder of ``ros2 bag record``.
@@ -36,6 +36,8 @@ BAG_ENDINGS: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 ROS1_MAGIC: Final = b"#ROSBAG V"
 _CACHED_CHUNKS: Final = 4
+#: A message begins with four bytes of CDR and its stamp.
+_HEAD_BYTES: Final = 12
 
 
 class SqliteBag(Bag):
@@ -68,6 +70,15 @@ class SqliteBag(Bag):
         if not found or not isinstance(found[0][0], bytes):
             raise DamagedFileError(f"message {index} of {topic} is missing")
         return unpacked(memoryview(found[0][0]))
+
+    def stamp_ns(self, topic: str, index: int) -> int:
+        """Return the stamp; of a message that is not compressed, nothing else is read."""
+        with (
+            self._lock,
+            self._database.blobopen("messages", "data", self._rows[topic][index][1], readonly=True) as blob,
+        ):
+            head = blob.read(_HEAD_BYTES)
+        return super().stamp_ns(topic, index) if head.startswith(ZSTD_MAGIC) else stamp_ns(head)
 
     def times_ns(self, topic: str) -> Int64Array:
         return np.array([time_ns for time_ns, _ in self._rows.get(topic, ())], np.int64)
@@ -220,11 +231,12 @@ class SplitBag(Bag):
         return sum(part.count(topic) for part in self._parts)
 
     def raw(self, topic: str, index: int) -> memoryview:
-        for part in self._parts:
-            if index < part.count(topic):
-                return part.raw(topic, index)
-            index -= part.count(topic)
-        raise DamagedFileError(f"there is no message {index} of {topic}")
+        part, index = self._part(topic, index)
+        return part.raw(topic, index)
+
+    def stamp_ns(self, topic: str, index: int) -> int:
+        part, index = self._part(topic, index)
+        return part.stamp_ns(topic, index)
 
     def times_ns(self, topic: str) -> Int64Array:
         found = [part.times_ns(topic) for part in self._parts if topic in part.types]
@@ -232,6 +244,14 @@ class SplitBag(Bag):
 
     def close(self) -> None:
         self._resources.close()
+
+    def _part(self, topic: str, index: int) -> tuple[Bag, int]:
+        """Return the file that holds a message, and its number there."""
+        for part in self._parts:
+            if index < part.count(topic):
+                return part, index
+            index -= part.count(topic)
+        raise DamagedFileError(f"there is no message {index} of {topic}")
 
     def _plain(self, path: Path) -> Path:
         """Return a file that was compressed as a whole, unpacked into a folder that goes when the bag is closed."""
