@@ -232,7 +232,7 @@ def _resolved(name: str) -> tuple[SourceKind, str]:
     if name and user_path(name).exists():
         raise SourceError(
             f"{name!r} is neither a folder with rig.json or metadata.yaml nor an .mcap, .bag or .db3; "
-            f"tactune preset create-rig writes rig.json for a folder of images; known sources are {forms}"
+            f"tactune preset create-rig {name} writes rig.json for a folder of images, or says why not"
         )
     scheme = name.partition(":")[0]
     if scheme in problems:

@@ -193,6 +193,8 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points as a share of their size: they overlap.
 _APART = 0.75
+#: How many pixels points grow to close gaps, as on large screens.
+_MORE = 2
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
@@ -202,7 +204,7 @@ class Look(NamedTuple):
 
     camera: ViewCamera
     size: tuple[int, int]  # Width and height
-    point_size: int  # Edge length of a point, one more where that closes the gaps between them
+    point_size: int  # Edge length of a point, up to _MORE more where that closes the gaps between them
     background: tuple[int, int, int]
     running: bool  # Frames follow each other, so points that would hide each other are left out
 
@@ -270,8 +272,8 @@ class SoftwareRenderer:
 def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     """Return the step between the rows and columns that are drawn, and the edge length of their points.
 
-    Points are one pixel larger if they then overlap in the centre of the view, at the far end of the colours. While
-    frames follow each other, every other row and column is left out if the rest overlaps.
+    Points are up to `_MORE` pixels larger if they then overlap in the centre of the view, at the far end of the
+    colours. While frames follow each other, every other row and column is left out if the rest overlaps.
     """
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
@@ -284,7 +286,8 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     if not (seen[:, 2] > 0).all():
         return 1, look.point_size
     step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
-    return step, look.point_size + (look.point_size < step * needed <= look.point_size + 1)
+    closing = math.ceil(step * needed)
+    return step, closing if look.point_size < closing <= look.point_size + _MORE else look.point_size
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
