@@ -23,7 +23,7 @@ _UNKNOWN = "–"
 def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     """Return the numbers that stand on the patch: area, doubt, centroid and frame rate."""
     patch, doubt = result.patch, result.doubt
-    area = touches = edge = centroid = _UNKNOWN
+    area = touches = boundary = centroid = _UNKNOWN
     if patch is not None:
         area = f"{result.area_mm2:,.0f} mm²"
         if patch.centroid_m is not None:
@@ -32,7 +32,7 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     if doubt is not None and result.area_mm2 > 0:
         touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
         if math.isfinite(doubt.boundary_error_mm):
-            edge = f"±{doubt.boundary_error_mm:.1f} mm"
+            boundary = f"±{doubt.boundary_error_mm:.1f} mm"
     force = []
     if patch is not None and patch.pressure is not None:
         names = ("force over inflation", "00,000 ± 0,000 mm²") if patch.force_n is None else ("force", "00.00 ± 0.00 N")
@@ -41,7 +41,7 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     return (
         Reading(area, "area", "00,000 mm²"),
         Reading(touches, "touches", "100 %"),
-        Reading(edge, "edge", "±00.0 mm"),
+        Reading(boundary, "boundary", "±00.0 mm"),
         *force,
         Reading(centroid, "centroid x, y, z in mm", "−000, −000, 000"),
         *rate,

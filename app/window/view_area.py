@@ -47,6 +47,7 @@ _PATCH_SHARE = (0.45, 0.55)
 _PATCH_FILL = 0.6
 _NO_DEPTH = "This camera measured no depth in this frame"
 _NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open a preset that has one"
+_READINGS_TIP = "<p><b>touches</b>: how likely the membrane touches; <b>boundary</b>: expected error of its place.</p>"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch, hatched where doubtful",
     ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Patch: what the last steps dropped",
@@ -69,6 +70,8 @@ class ViewArea(QWidget):
     def __init__(self, actions: Actions, strip: ImageStrip) -> None:
         super().__init__()
         self.views = {name: CloudView(title, inspects=True) for name, title in TITLES.items()}
+        patch = self.views[CloudName.PATCH]
+        patch.setToolTip(_READINGS_TIP + patch.toolTip())
         self.strip = strip
         self.toggles = {
             CloudName.PROXIMITY: actions.show_proximity,
