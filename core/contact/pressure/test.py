@@ -38,7 +38,7 @@ _WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.3
 _CUT_POWER: Final = 4
 #: How flat the membrane is, at the edge of contact, is limited to this range and averaged over this window, cells: an
 #: edge of the object bends it far more than a face does.
-_FLATNESS, _EDGE_WINDOW = (-0.5, 1.2), 1.25
+_FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
@@ -50,9 +50,9 @@ _BOTH_SHARE: Final = 0.05
 _MODEL_SHARE: Final = 0.05
 #: The force and the sum of area times pressure differ by less than this many standard deviations of the force.
 _APART_SIGMAS: Final = 2.5
-#: A contact too small to look flat ends at this share of its largest pressure, which is this quantile. What looks flat
-#: elsewhere has at most this level.
-_SMALL_SHARE, _QUANTILE, _OUTSIDE = 0.5, 0.9, -0.1
+#: A contact with fewer flat cells is too small to look flat, and ends at this share of its largest pressure, which is
+#: this quantile. What looks flat elsewhere has at most this level.
+_SMALL_CELLS, _SMALL_SHARE, _QUANTILE, _OUTSIDE = 4, 0.5, 0.9, -0.1
 #: Beyond this many standard deviations a cell tells nothing of the free membrane.
 _CUT: Final = 2.5
 
@@ -266,7 +266,7 @@ class _Now:
         count, labels = cv2.connectedComponents(pressed.view(np.uint8), connectivity=8)
         for number in range(1, count):
             own = labels == number
-            if not (own & flat).any():
+            if np.count_nonzero(own & flat) < _SMALL_CELLS:
                 self._edge_window = self._rest.window
                 edge = max(_SMALL_SHARE * float(np.quantile(self.relative[own], _QUANTILE)), float(limit[own].min()))
                 near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
