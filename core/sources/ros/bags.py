@@ -25,12 +25,15 @@ from ruamel.yaml import YAML
 
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
+from ...model.loading import read_file
 from ..base import Progress, part_of
 from ..ros_image import DamagedFileError, damage_told
 from .mcap import MAGIC, McapBag
 from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpack_file, unpacked
 
 METADATA: Final = "metadata.yaml"
+#: More than that of a recording with hundreds of topics and files.
+_MAX_METADATA_BYTES: Final = 500_000
 #: Endings of the files in a folder of ``ros2 bag record``.
 BAG_ENDINGS: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 SQLITE_MAGIC: Final = b"SQLite format 3\x00"
@@ -49,6 +52,8 @@ class SqliteBag(Bag):
         self._lock = Lock()
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         try:
+            if self._select("SELECT 1 FROM sqlite_master WHERE type = 'view'"):  # one can have rows without end
+                raise DamagedFileError("it computes its messages")
             topics = self._select("SELECT id, name, type FROM topics WHERE serialization_format = 'cdr' ORDER BY id")
             self._rows: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
             for number, topic, kind in topics:
@@ -295,8 +300,9 @@ def _parts_of(folder: Path) -> list[Path]:
             )
         return paths
     try:
-        about = YAML(typ="safe").load((folder / METADATA).read_text("utf-8"))["rosbag2_bagfile_information"]
-        paths = [folder / PurePath(name).name for name in about["relative_file_paths"]]
+        text = read_file(folder / METADATA, _MAX_METADATA_BYTES).decode("utf-8")
+        names = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
+        paths = [folder / name for name in dict.fromkeys(PurePath(name).name for name in names)]
     except OSError:
         raise
     except Exception as error:

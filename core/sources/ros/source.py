@@ -20,7 +20,7 @@ from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
 from ..lens import Lens, camera_info_lens, lens_of_file
 from ..recorded import RecordedCamera, RecordedSource
-from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told
+from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told, is_color
 from .bags import open_bag
 from .messages import POSES, Bag, matrix_of
 from .topics import (
@@ -33,6 +33,7 @@ from .topics import (
     split_name,
     store_topics,
     survey,
+    unread_depth,
 )
 
 #: Unit of depth in whole numbers, by ROS's convention for depth images (REP 118).
@@ -66,7 +67,8 @@ class Frames:
                     names = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
                     poses.setdefault(names, []).append(matrix_of(each.transform))
         for (parent, child), found in poses.items():
-            if np.ptp(np.array(found), axis=0).max() <= _FIXED:  # what is not filled in is nan, and no pose
+            # what is not filled in is nan, and no pose
+            if np.isfinite(found).all() and np.ptp(np.array(found), axis=0).max() <= _FIXED:
                 self._edges.setdefault(parent, {})[child] = found[0]
                 self._edges.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(found[0]), np.float64)
 
@@ -170,12 +172,15 @@ class RosSource(RecordedSource):
             topics, gap = complete_topics(chosen, topics, images, self._poses.joined)
         if gap:
             raise SourceError(
-                f"{self._path}: {gap}; name them with --topics proximity.depth=/topic,tactile.depth=/topic; "
+                f"{self._path}: {'; '.join([*self._lacks, gap])}; name them with "
+                "--topics proximity.depth=/topic,tactile.depth=/topic; "
                 f"{list_topics(images, self._bag.types)}"
             )
         roles = [role for role in ("proximity", "tactile") if f"{role}.depth" in topics]
         cameras = [self._camera(role, topics) for role in roles]
         if len(cameras) == 1:
+            if unread := unread_depth(self._images, self._bag.types, topics[f"{roles[0]}.depth"]):
+                self._lacks.append(f"only one camera is shown, since no depth can be read on {', '.join(unread)}")
             return cameras, None
         first, second = (self._images[topics[f"{role}.depth"]].frame for role in roles)
         pose = self._poses.pose(first, second)
@@ -237,6 +242,8 @@ class RosSource(RecordedSource):
 
     def _color(self, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
         """Return the lens of a camera's colour and the pose of its depth in it."""
+        if not is_color(color.encoding):
+            raise _GapError(f"{color.name} has the encoding {foreign(color.encoding, 40)!r}, which is not known")
         pose = self._poses.pose(color.frame, depth.frame)
         if pose is None:
             raise _GapError(

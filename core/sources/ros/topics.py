@@ -60,12 +60,16 @@ class ImageTopic:
 
     @property
     def camera(self) -> str:
-        """The part of the name that is the camera's, such as ``camera`` or ``left/d405``."""
-        parts = ("_".join(w for w in part.split("_") if w not in _STREAM_WORDS) for part in self.name.split("/"))
-        return "/".join(filter(None, parts))
+        return camera_of(self.name)
 
     def __str__(self) -> str:
         return f"{self.name} ({self.width} x {self.height}, {self.encoding}, {counted(self.count, 'image')})"
+
+
+def camera_of(topic: str) -> str:
+    """Return the part of a name that is the camera's, such as ``camera`` or ``left/d405``."""
+    parts = ("_".join(w for w in part.split("_") if w not in _STREAM_WORDS) for part in topic.split("/"))
+    return "/".join(filter(None, parts))
 
 
 #: A topic for each of `SLOTS` that is used.
@@ -102,6 +106,19 @@ def survey(bag: Bag) -> tuple[ImageTopic, ...]:
             )
         )
     return tuple(found)
+
+
+def unread_depth(images: Mapping[str, ImageTopic], types: Mapping[str, str], used: str) -> list[str]:
+    """Return what is depth of another camera than ``used`` by its name, but has an encoding that cannot be read."""
+    found = []
+    for topic, kind in sorted(types.items()):
+        if kind not in (IMAGE, COMPRESSED) or "depth" not in re.split(r"[/_]", topic):
+            continue
+        image = images.get(topic)
+        if camera_of(topic) != camera_of(used) and (image is None or image.kind != "depth"):
+            encoding = f" ({foreign(image.encoding, 40)!r})" if image is not None else ""
+            found.append(foreign(topic, 60) + encoding)
+    return found
 
 
 def _info_of(topic: str, frame: str, infos: set[str], frames: Mapping[str, str]) -> str:
@@ -183,6 +200,8 @@ def complete_topics(
             group = [image for image in images if image.kind == "color" and image.camera == depth[0].camera]
             if (color := _streams([*depth, *group], joined)[1]) is not None:
                 topics[f"{role}.color"] = color.name
+    if topics.get("proximity.depth") == topics.get("tactile.depth") is not None:
+        return topics, "--topics names one topic as the depth of both cameras"
     return topics, "" if "tactile.depth" in topics else "--topics names no tactile.depth"
 
 

@@ -1,5 +1,7 @@
 """Recordings of other programs: containers, topics, encodings, lenses, transforms and pairing, each against NumPy."""
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 
 import cv2
@@ -44,7 +46,7 @@ def test_every_container_plays_the_same(tmp_path, kind, opened):
     path = opened(make_recording(tmp_path / ("take.bag" if kind == "ros1" else "take"), TWO, kind=kind))
     with open_source(str(path)) as source:
         assert source.health().ok, source.health()
-        assert source.length == 3
+        assert source.length == 3 and source.health().ok
         assert np.allclose(np.array(source.rig.T_proximity_tactile)[:3, 3], (0.05, 0.0, 0.0))
         assert np.allclose(np.array(source.rig.proximity_color.T_color_depth)[:3, 3], (0.014, 0.0, 0.0))
         for n, frame in enumerate(source):
@@ -293,6 +295,8 @@ def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_dep
     streams = [depth(names[0], "b_optical"), depth(names[1], "a_optical", 390), color(names[2], "c_optical")]
     path = make_recording(tmp_path / "take", streams)
     both = ("--topics", f"proximity.depth={names[1]}", "--topics", f"tactile.depth={names[0]}")
+    same = (*both[:2], "--topics", f"tactile.depth={names[1]}")
+    assert "one topic as the depth of both" in tactune("convert", path, tmp_path / "out", *same).sentence
     assert "--topics names no tactile.depth" in tactune("convert", path, tmp_path / "out", *both[:2]).sentence
     assert tactune("convert", path, tmp_path / "out", *both).status == 0
     with open_source(str(tmp_path / "out")) as source:
@@ -371,3 +375,29 @@ def test_a_transform_that_is_not_filled_in_is_no_pose(tmp_path):
         make_recording(tmp_path / "take", TWO, (("a_optical", "b_optical", (1, 0, 0), (0.0,) * 4),))
     )
     assert rig.T_proximity_tactile is None and not health.ok
+
+
+def test_depth_and_colour_of_an_unknown_encoding_are_named_and_the_rest_is_shown(tmp_path):
+    near = replace(TWO[0], encoding="Z16")
+    rig, _, health = first_frame(make_recording(tmp_path / "depth", [near, TWO[1]]))
+    assert not rig.has_proximity and f"{near.topic} ('Z16')" in health.message
+    colour = color("/l515/color/image_raw", "c_optical", encoding="RGB8")
+    rig, _, health = first_frame(make_recording(tmp_path / "colour", [*TWO[:2], colour]))
+    assert rig.has_proximity and "'RGB8'" in health.message
+
+
+def test_a_file_that_the_metadata_name_twice_is_played_once(tmp_path):
+    path = make_recording(tmp_path / "take", TWO)
+    names = [file_in(path).name] * 2
+    (path / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {{relative_file_paths: {names}}}")
+    with open_source(str(path)) as source:
+        assert source.length == 3 and source.health().ok
+
+
+def test_a_database_that_computes_its_messages_is_refused(tmp_path):
+    path = file_in(make_recording(tmp_path / "take", TWO, kind="sqlite"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("ALTER TABLE messages RENAME TO kept")
+        database.execute("CREATE VIEW messages AS SELECT * FROM kept")
+    with pytest.raises(SourceError, match="computes"):
+        open_source(str(path))
