@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
 
 from seen_clouds import FRONT, GREEN, RED, cloud_of, colored, picture, red_wall, shown_view, wall
 from tactune.widgets.basics.overlays import Wipe
@@ -40,3 +42,17 @@ def test_each_side_is_what_its_cloud_alone_shows(view, share):
     view.set_wipe(None)
     assert (picture(view) == red).all()
     assert view.canvas.right is None
+
+
+def test_a_wipe_that_ends_while_it_is_dragged_does_not_stick_to_the_mouse(view):
+    canvas, dragged, left = view.canvas, [], Qt.MouseButton.LeftButton
+    view.wipeDragged.connect(dragged.append)
+    view.set_wipe(Wipe(0.5, "A", "B"))
+    QTest.mousePress(canvas, left, pos=QPoint(canvas.width() // 2, 100))
+    QTest.mouseMove(canvas, QPoint(canvas.width() // 4, 100))
+    assert dragged == [pytest.approx(0.25, abs=0.01)]
+    view.set_wipe(None)
+    QTest.mouseRelease(canvas, left, pos=QPoint(20, 100))
+    view.set_wipe(Wipe(0.5, "A", "B"))
+    QTest.mouseMove(canvas, QPoint(40, 100))
+    assert len(dragged) == 1

@@ -113,7 +113,12 @@ class WipeGrip(QObject):
         over.installEventFilter(self)
 
     def eventFilter(self, over: QObject | None, event: QEvent | None) -> bool:
-        if self.wipe is None or not isinstance(over, QWidget) or not isinstance(event, QMouseEvent):
+        if not isinstance(over, QWidget) or not isinstance(event, QMouseEvent):
+            return False
+        if self.wipe is None:  # it may have ended while it was held
+            if self._lit:
+                over.setCursor(self._usual)
+            self._held = self._lit = False
             return False
         x, width, left = event.position().x(), max(1, over.width()), event.button() == Qt.MouseButton.LeftButton
         held, lit = self._held, self.wipe.grabbed(x, width)

@@ -317,4 +317,7 @@ _EDITORS: dict[str, Any] = {
 
 
 def make_editor(spec: FieldSpec) -> Any:
-    return named(_EDITORS[spec.kind](spec), spec.title, spec.tooltip)
+    widget = named(_EDITORS[spec.kind](spec), spec.title, spec.tooltip)
+    if spec.kind == "matrix":
+        widget.setAccessibleName("")  # a name would keep a screen reader from its numbers
+    return widget
