@@ -18,6 +18,8 @@ from ..model.loading import read_file
 from .base import PROXIMITY_NAMES, TACTILE_NAMES
 from .cameras.pairing import nearest_within, pairs, period_s
 
+#: Cameras whose names hold numbers, which are no frames'.
+_MODELS: Final = "l515|d405"
 IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".pgm", ".jpg", ".jpeg", ".bmp")
 #: Files of these kinds are depth where no name says what they are.
 _DEPTH_SUFFIXES: Final = (".npy", ".tif", ".tiff", ".pgm")
@@ -198,7 +200,7 @@ def _slot(relative: Path) -> str | None:
     """Return the slot that the names of a file and of its folders tell, the file's own name first."""
     kind, role = None, "proximity"
     for part in reversed(relative.with_suffix("").parts):
-        meanings = [_WORDS[word] for word in re.findall("l515|d405|[a-z]+", part.lower()) if word in _WORDS]
+        meanings = [_WORDS[word] for word in re.findall(f"{_MODELS}|[a-z]+", part.lower()) if word in _WORDS]
         if "other" in meanings:
             return None
         kind = kind or next((word for word in meanings if word in ("depth", "color", "gray")), None)
@@ -210,7 +212,7 @@ def _slot(relative: Path) -> str | None:
 
 def _keyed(file: Path, root: Path, listed: dict[Path, float]) -> _Image:
     """Return a file with its number, the last one in its name or its folders', and the time that the name is."""
-    numbers = re.findall("[0-9]+", str(file.relative_to(root).with_suffix("")))
+    numbers = re.findall("[0-9]+", re.sub(_MODELS, "", str(file.relative_to(root).with_suffix("")).lower()))
     number = int(numbers[-1]) if numbers and len(numbers[-1]) <= 19 else None
     stamp = listed.get(file)
     if stamp is None and re.fullmatch(r"[0-9]{1,12}\.[0-9]{1,9}", file.stem):

@@ -143,8 +143,8 @@ def flat(folder):
 
 def models(folder):
     for index in range(2):
-        for name in ("l515/depth", "d405/depth", "l515/rgb"):
-            save(folder / name / f"{index}.png", COLOR if "rgb" in name else DEPTH)
+        for name in ("depth_l515", "depth_d405", "rgb_l515"):
+            save(folder / f"{index}_{name}.png", COLOR if "rgb" in name else DEPTH)
 
 
 def subfolders(folder):
