@@ -155,7 +155,7 @@ class MainWindow(QMainWindow):
         self.pointing = Pointing(self.context, self.views, self.strip)
         self.publishing = PublishControl(self.context, self.status.publishing)
         self.set_up = SetUpPanel(self.context, self.actions_.by_name())
-        run = RunPanel(self.actions_, self.recording, self.publishing.panel, self.status.details)
+        run = RunPanel(self.context, self.actions_, self.recording, self.publishing.panel, self.status.details)
         self.worker.opened.connect(run.show_source)
         panels = {Mode.SET_UP: scrolling(self.set_up), Mode.TUNE: self.panel, Mode.RUN: scrolling(run)}
         self.modes = ModeColumn(self.context, self.actions_, panels)

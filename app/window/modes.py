@@ -9,7 +9,7 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QLabel, QStackedWidget, QToolButton, QWidget
 
-from ...widgets.basics.controls import NoteLabel, text_button
+from ...widgets.basics.controls import NoteLabel, push_button, text_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..context import Context
@@ -35,20 +35,32 @@ class RunPanel(QWidget):
     """The controls of *Record and run*."""
 
     def __init__(
-        self, actions: Actions, recording: RecordingBar, publishing: PublishPanel, details: FrameDetails
+        self,
+        context: Context,
+        actions: Actions,
+        recording: RecordingBar,
+        publishing: PublishPanel,
+        details: FrameDetails,
     ) -> None:
         super().__init__()
+        self._name = ""
         self._live = QWidget()
         folder = hbox(text_button(actions.recordings_folder), STRETCH)
         vbox(heading("Record"), folder, recording, 8, within=self._live, margins=0)
-        self._no_live = NoteLabel("To record, open a live source: cameras, or live:sim for the simulator.")
+        self._no_live = QWidget()
+        self.play_live = push_button(
+            "Play as &live", "Play this source as if cameras sent it, to try recording and a robot"
+        )
+        self.play_live.clicked.connect(lambda: context.sourceRequested.emit(f"live:{self._name}"))
+        note = NoteLabel("To record, connect cameras, or play this source as if it were live.")
+        hbox((note, 1), self.play_live, within=self._no_live, margins=0)
         vbox(
             self._no_live,
             self._live,
             heading("Publish"),
             publishing,
             8,
-            heading("This frame"),
+            heading("Details"),
             details,
             STRETCH,
             within=self,
@@ -58,6 +70,7 @@ class RunPanel(QWidget):
 
     def show_source(self, info: SourceInfo) -> None:
         """Offer to record what is live; the next step of a recording is to export it."""
+        self._name = info.name
         self._live.setVisible(info.length is None)
         self._no_live.setVisible(info.length is not None)
 

@@ -72,7 +72,7 @@ class FrameDetails(QLabel):
         lines = (
             f"Doubt: {', '.join(doubt.reasons) if doubt is not None and doubt.reasons else 'none known'}",
             f"Patch: {points}",
-            f"Drawn: {f'{shown_fps:.0f} frames/s' if runs else 'paused'}",
+            f"Drawn: {f'{shown_fps:.0f} fps' if runs else 'paused'}",
             f"Dropped: {result.dropped}, unmatched: {result.unmatched}",
             f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
             f"Reading: {result.read_ms:.1f} ms, drawing: {result.render_ms:.1f} ms",

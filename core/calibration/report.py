@@ -327,7 +327,7 @@ def next_step(quality: ModelQuality, depth_span_mm: float) -> str:
     wrong = quality.excluded or [pair.id for pair in ([] if shared else quality.far_from_fit()[:3])]
     if wrong:
         them, far = "them" if len(wrong) > 1 else "it", max(p.residual_px for p in quality.pairs if p.id in wrong)
-        return f"Click {listed(wrong)} again or delete {them}: the others contradict {them} by up to {far:.1f} px."
+        return f"Click {listed(wrong)} again or remove {them}: the others contradict {them} by up to {far:.1f} px."
     if used < ADVISED_POINTS:
         return f"Click at least {ADVISED_POINTS - used} more: with six the quality can be estimated."
     if shared:

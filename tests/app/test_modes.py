@@ -6,8 +6,8 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog
 
 from fakes import FakeSource
-from hands import CONTROL, CONTROL_SHIFT, show_source
-from tactune.app.window.modes import Mode
+from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
+from tactune.app.window.modes import Mode, RunPanel
 from tactune.app.window.search import Search
 from tactune.core.preset import CONTACT_TESTS
 from tactune.widgets.parameters.slider import Slider
@@ -40,6 +40,14 @@ def test_keys_choose_a_mode_and_its_controls_and_nothing_else_moves(window):
     window.document.edit("name", "a preset with a name that is longer than its button")
     QApplication.processEvents()
     assert places(window, *fixed) == before
+
+
+def test_a_recording_is_played_as_if_it_were_live(window, qtbot):
+    show_source(qtbot, window, FakeSource(length=3))
+    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
+    button = window.findChild(RunPanel).play_live
+    with qtbot.waitSignal(window.context.sourceRequested, check_params_cb=lambda name: name.startswith("live:")):
+        QTest.mouseClick(button, LEFT)
 
 
 def test_enter_runs_the_entry_that_the_arrows_marked(window, qtbot):
