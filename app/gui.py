@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PyQt6.QtCore import QObject, QTimer
+from PyQt6.QtCore import QBuffer, QObject, QTimer
 from PyQt6.QtWidgets import QApplication
 
 from ..core.errors import ExportError, TactuneError
@@ -156,10 +156,12 @@ class _Screenshot(QObject):
             QTimer.singleShot(300, self._take)
 
     def _take(self) -> None:
+        buffer = QBuffer()  # not the file: on a full disk the library of the format would write to the terminal
+        buffer.open(QBuffer.OpenModeFlag.WriteOnly)
+        self._window.grab().save(buffer, self._path.suffix[1:])
         try:
             with atomic_path(self._path) as temporary:
-                if not self._window.grab().save(str(temporary)):  # its suffix chooses the format
-                    raise ExportError(f"cannot write {self._path}: Qt could not save the picture; choose another place")
+                temporary.write_bytes(buffer.data().data())
         except TactuneError as error:
             self.problem = str(error)
         self._window.close()

@@ -5,10 +5,10 @@ Every message names the field or file, the value found there and what to do.
 
 
 class TactuneError(Exception):
-    """Root of every error that a person or a program can act on. Its text holds no control character of a terminal."""
+    """Root of every error that a person or a program can act on. Its text is one line, for a terminal without harm."""
 
     def __str__(self) -> str:
-        return printable(super().__str__())
+        return printable(super().__str__().replace("\n", " "))
 
 
 class PresetError(TactuneError):

@@ -57,11 +57,20 @@ TopicsOption = Annotated[
 UntouchedSource = Annotated[
     str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
 ]
+
+
+def _named(preset: str | None) -> str | None:
+    if preset == "":  # of a script whose variable is not set
+        raise typer.BadParameter("it is empty; name a file, or leave it out")
+    return preset
+
+
 PresetOption = Annotated[
     str | None,
     typer.Option(
         "--preset",
         "-p",
+        callback=_named,
         metavar="FILE|NAME",
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),

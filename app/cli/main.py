@@ -17,6 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from ...core.errors import MissingExtraError, TactuneError, foreign
+from ...core.model.files import check_writable
 from .calibrate import calibrate, check, create_rig
 from .common import PresetOption, SourceOption, say, warn
 from .doctor import devices, doctor, warmup
@@ -165,6 +166,8 @@ def gui(
     """Open the window, with the last source and preset unless others are named."""
     if screenshot is not None and screenshot.suffix.lower() not in (".png", ".jpg"):
         raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in .png or .jpg")
+    if screenshot is not None:
+        check_writable(screenshot)
     raise typer.Exit(_open_window(source, preset, screenshot))
 
 

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from ..calibration.geometry import moved
 from ..contact.masking import in_hsv_range
-from ..errors import MissingExtraError, SourceError, TactuneError
+from ..errors import MissingExtraError, SourceError, TactuneError, foreign
 from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
 from ..model.files import user_path
@@ -190,7 +190,7 @@ def load_transform(path: Path | str) -> Matrix4:
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
     except (ValueError, TypeError, KeyError) as error:
-        detail = " ".join(str(error).split())
+        detail = foreign(error, 120)
         raise SourceError(
             f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
             "four lines of four numbers, metres"

@@ -35,8 +35,7 @@ def atomic_path(target: Path | str, *, follow_link: bool = False, exclusive: boo
     try:
         if exclusive and os.path.lexists(final):
             raise taken(target)
-        if final.exists() and not final.is_file():
-            raise ExportError(f"cannot write {target}: it is no ordinary file; choose another place")
+        _check_ordinary(final)
         final.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         with temporary.open("rb+") as file:
@@ -49,6 +48,11 @@ def atomic_path(target: Path | str, *, follow_link: bool = False, exclusive: boo
     finally:
         with suppress(OSError):  # gone already, or its folder could not be made
             temporary.unlink()
+
+
+def _check_ordinary(target: Path) -> None:
+    if target.exists() and not target.is_file():
+        raise ExportError(f"cannot write {target}: it is no ordinary file; choose another place")
 
 
 def _take_name(temporary: Path, final: Path) -> None:
@@ -79,6 +83,7 @@ def remove_leftovers(folder: Path, name: str = "*") -> None:
 
 def check_writable(target: Path | str) -> None:
     """Raise if a file cannot be written there, so that nobody waits for a result in vain. Nothing is left behind."""
+    _check_ordinary(Path(target))
     final = Path(target).absolute()
     folder = next(parent for parent in final.parents if parent.exists())
     temporary = folder / f".{secrets.token_hex(8)}"

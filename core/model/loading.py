@@ -131,6 +131,7 @@ def _pillow_pixels(data: bytes) -> AnyArray:
     """Return an image, RGB or RGBA if it has colour. For damage, OpenCV's libraries would write to the terminal."""
     from PIL import Image
 
+    Image.MAX_IMAGE_PIXELS = None  # the limit here is stricter, and Pillow's warns on the terminal
     try:
         with Image.open(io.BytesIO(data)) as image:
             width, height = image.size

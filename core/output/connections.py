@@ -31,7 +31,7 @@ class Connections:
     @property
     def warning(self) -> str:
         """Who else can connect, as a sentence without a full stop; empty if only this computer can."""
-        if self.host in ("", LOOPBACK, "localhost"):
+        if self.host in ("", LOOPBACK, "localhost", "::1"):
             return ""
         return "other computers can connect and read everything, without a password"
 

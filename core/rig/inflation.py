@@ -21,6 +21,8 @@ _SIGMAS: Final = 3.0
 #: Error of the relative force that all presses of a rig share, larger by a factor where one is weak, and largest
 #: residual of presses that fit together.
 _SHARED_ERROR, _WEAKER, _LARGEST_RESIDUAL = 0.05, 2.0, 0.5
+#: What a membrane of this size can be pressed with; its inflation gives way at some hundred.
+_FORCES_N: Final = 1e-3, 1e3
 _COLUMNS: Final = "frame,force_n or time_s,force_n"
 
 
@@ -45,7 +47,7 @@ class Press(NamedTuple):
             raise CalibrationError(
                 f"force and pressure disagree in frame {frame}; press in the middle, away from rim and missing depth"
             )
-        if not force_n > 0 or not math.isfinite(force_n):
+        if not _FORCES_N[0] <= force_n <= _FORCES_N[1]:
             raise CalibrationError(f"the force is {force_n:g} N; give what the scale reads while the object presses")
         force, sigma = np.array(facts.force_mm2), np.array(facts.force_sigma_mm2)
         area = float(np.linalg.norm(force))

@@ -107,6 +107,11 @@ def read_depth(path: Path, camera: DepthCamera, value_m: float = 1.0, lens: Lens
         with np.errstate(invalid="ignore", over="ignore"):
             counts = image * (value_m / camera.depth_unit_m)
             known = (counts > 0) & (counts < np.iinfo(np.uint16).max)
+            if not known.any() and (far := image[np.isfinite(counts) & (counts > 0)]).size:
+                raise SourceError(
+                    f"{path} has depths of {far.min() * value_m:g} m and more, beyond the camera's range; if they are "
+                    "in mm, write rig.json anew with tactune preset create-rig --unit mm"
+                )
         image = np.rint(np.where(known, counts, 0)).astype(np.uint16)
     return np.asarray(image if lens is None else lens.rectify(image), np.uint16)
 

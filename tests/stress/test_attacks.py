@@ -14,6 +14,7 @@ import pytest
 from attacks import bounded
 from tactune.core.calibration.folder_rig import fit_lens
 from tactune.core.errors import TactuneError
+from tactune.core.model.loading import decode_image
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -98,6 +99,11 @@ def test_a_small_file_takes_little_memory_and_time(name, tmp_path):
 def test_a_folder_with_such_an_image_is_refused(name, kind, tmp_path):
     folder(tmp_path / "a", name, IMAGES[kind])
     refused(play, tmp_path / "a")
+
+
+def test_a_picture_of_100_megapixels_is_refused_by_our_own_limit():
+    with pytest.raises(ValueError, match="claims 10000 x 10000"):
+        decode_image(png(10_000, 10_000))
 
 
 @pytest.mark.long

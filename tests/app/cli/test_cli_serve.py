@@ -21,6 +21,7 @@ from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseTracker
 from tactune.core.estimation.tilt import TiltEstimator
+from tactune.core.output.connections import Connections
 from tactune.core.output.publisher import LIVE_TOPICS, Publisher
 from tactune.core.sources.simulator.scenes import resolve_scene
 
@@ -107,6 +108,7 @@ def test_other_computers_connect_only_where_asked(tactune, monkeypatch):
     done = tactune("serve", "--foxglove", "--port", 0, "--host", "0.0.0.0", "--source", SOURCE, "--frames", 1)
     assert "other computers can connect and read everything, without a password" in done.err
     assert [(kind, address) for kind, address, _ in places[0]] == [("tcp", "0.0.0.0")]
+    assert not Connections(host="::1").warning
 
 
 def test_a_taken_port_is_told_before_the_source_opens(monkeypatch, tactune):

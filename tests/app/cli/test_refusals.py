@@ -33,6 +33,8 @@ REFUSED = [
     ("run --source \x1b[2Jx --json", "[2Jx"),
     ("run --source IN --preset \x1b[2Jx --json", "[2Jx"),
     ("run --source IN --json --set tolerance.tt=1", "did you mean tolerance.t"),
+    ("run --source IN --json --preset=", "is empty"),
+    ("lab strain --source IN --csv OUT", "no ordinary file"),
     ("run --source IN --watch", "no untouched frame"),
     ("check --source IN --preset default", "no untouched frame"),
     ("convert IN IN", "recording"),
@@ -109,3 +111,7 @@ def test_a_message_prints_little_of_a_file_and_no_control_characters(tactune, re
     said = tactune(*words.split()).sentence
     assert said.strip().isprintable()
     assert said.count("wxyz") < 50
+
+
+def test_a_name_with_a_line_break_gives_one_sentence(tactune):
+    assert "no file a" in tactune("run", "--preset", "no file a\nb").sentence

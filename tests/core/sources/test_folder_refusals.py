@@ -43,6 +43,13 @@ BAD = {
         lambda p: write(p / F / "proximity_depth.png", 5, 8),
         r"proximity_depth\.png is 8 x 5 pixels, but rig\.json says 7 x 5",
     ),
+    "metres are mm": (
+        lambda p: (
+            cv2.imwrite(str(p / F / "tactile_depth.tiff"), np.full((4, 6), 400, np.float32))
+            and (p / F / "tactile_depth.png").unlink()
+        ),
+        r"tactile_depth\.tiff has depths of 400 m and more, .* --unit mm",
+    ),
     "no PNG": (lambda p: (p / F / "tactile_depth.png").write_bytes(b"oops"), r"tactile_depth\.png is no readable PNG"),
     "one sequence twice": (
         lambda p: edit(p / "000001/frame.json", sequence=json.loads((p / F / "frame.json").read_text())["sequence"]),
