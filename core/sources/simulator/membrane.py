@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from ...model.arrays import BoolArray, Float64Array, Int32Array
-from .objects import NO_OBJECT, allocating, compiled, distance, normal
+from .objects import NO_OBJECT, allocating, compiled, distance, normal, to_surface
 
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
 _FOLDS: Final = 18
@@ -127,8 +127,6 @@ _OVERSHOT: Final = 1e3
 #: Shortest step, as a share of the step that the start's stiffness allows.
 _SHORTEST_SHARE: Final = 0.05
 _MAX_ITERATIONS: Final = 6000
-#: A node nearer to the object than this lies on it, metres.
-_ON_SURFACE_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -410,9 +408,7 @@ class Membrane:
         thing = _Object(kind, pose, self.mesh.relief_m)
         grips = _Grips(np.full_like(nodes, np.nan) if held is None else held.copy(), np.full_like(nodes, np.nan))
         sticks = ~np.isnan(grips.point[:, 0])
-        _lay(thing, grips.point, sticks)
-        for n in np.flatnonzero(sticks).tolist():
-            grips.normal[n] = _normal(thing, grips.point, n)
+        grips.normal[sticks] = _lay(thing, grips.point, sticks)
         return self._solve(thing, nodes, grips, self.tolerance, _MAX_ITERATIONS)
 
     @property
@@ -539,16 +535,10 @@ def _beside(nodes: BoolArray, cells: tuple[int, int]) -> BoolArray:
     return (cv2.dilate(grid, np.ones((3, 3), np.uint8)).ravel() > 0) & ~nodes
 
 
-@compiled
-def _lay(thing: _Object, nodes: Float64Array, chosen: BoolArray) -> None:
-    for n in range(nodes.shape[0]):
-        if not chosen[n]:
-            continue
-        for _ in range(20):
-            gap = _distance(thing, nodes, n)
-            if abs(gap) < _ON_SURFACE_M:
-                break
-            nx, ny, nz = _normal(thing, nodes, n)
-            nodes[n, 0] -= gap * nx
-            nodes[n, 1] -= gap * ny
-            nodes[n, 2] -= gap * nz
+def _lay(thing: _Object, nodes: Float64Array, chosen: BoolArray) -> Float64Array:
+    """Move chosen nodes onto the object, in place; return its normals there."""
+    relief = np.outer(thing.relief_m[chosen], (0.0, 0.0, 1.0))
+    points = nodes[chosen] + relief
+    normals = to_surface(thing.kind, points, thing.pose)
+    nodes[chosen] = points - relief
+    return normals

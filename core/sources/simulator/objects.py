@@ -267,10 +267,10 @@ def _voxel_numbers(inside: BoolArray) -> Int64Array:
     return number
 
 
-def to_surface(kind: int, points: Float64Array) -> Float64Array:
+def to_surface(kind: int, points: Float64Array, pose: Float64Array = _IDENTITY) -> Float64Array:
     """Move points near an object's surface onto it, in place; return the outward unit normals there, (N, 3)."""
     normals = np.empty_like(points)
-    _settle(kind, _IDENTITY, points, normals)
+    _settle(kind, pose, points, normals)
     return normals
 
 

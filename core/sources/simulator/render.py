@@ -16,7 +16,7 @@ import numpy as np
 
 from ...model.arrays import Float32Array, Float64Array, Int32Array, Uint8Array
 from ...model.intrinsics import Intrinsics
-from .objects import allocating, compiled, distance, normal
+from .objects import compiled, distance, normal
 
 Print = Literal["droplets", "dots"]
 
@@ -185,18 +185,11 @@ def _rasterise(
                     attributes[v, u, k] = ka * values[a, k] + kb * values[b, k] + kc * values[c, k]
 
 
-@allocating
 def node_areas(nodes: Float64Array, triangles: Int32Array) -> Float64Array:
     """Return the areas of the membrane at its nodes as vectors, (N, 3), which point outward."""
+    a, b, c = (nodes[triangles[:, corner]] for corner in range(3))
     areas = np.zeros_like(nodes)
-    for t in range(triangles.shape[0]):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy, uz = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1], nodes[b, 2] - nodes[a, 2]
-        vx, vy, vz = nodes[c, 0] - nodes[a, 0], nodes[c, 1] - nodes[a, 1], nodes[c, 2] - nodes[a, 2]
-        for n in (a, b, c):  # a third of the triangle each
-            areas[n, 0] += (uy * vz - uz * vy) / 6.0
-            areas[n, 1] += (uz * vx - ux * vz) / 6.0
-            areas[n, 2] += (ux * vy - uy * vx) / 6.0
+    np.add.at(areas, triangles, np.cross(b - a, c - a)[:, None] / 6.0)  # a third of a triangle to each corner
     return areas
 
 
