@@ -10,6 +10,7 @@ from contrast import contrast_ratio
 from tactune.widgets.basics.controls import NoteLabel
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
+from tactune.widgets.images.image_pane import ImagePane
 
 NAMES = ("light", "dark")
 
@@ -42,6 +43,16 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp, qtbot, name):
     assert widget.palette().color(QPalette.ColorRole.Window).name() == colors.window
     assert widget.palette().color(QPalette.ColorRole.Highlight).name() == ACCENT
     assert pg.getConfigOption("background") == colors.base
+
+
+def test_an_image_has_the_window_s_background_after_a_change_of_theme(qapp, qtbot):
+    pane = ImagePane("Colour")
+    qtbot.addWidget(pane)
+    pane.show()
+    for name in (*NAMES, NAMES[0]):
+        apply_theme(qapp, name)
+        qapp.processEvents()
+        assert pane.view.grab().toImage().pixelColor(2, 2).name() == theme_colors().window
 
 
 @pytest.mark.parametrize("name", NAMES)

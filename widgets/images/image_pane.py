@@ -89,6 +89,7 @@ class _View(pg.GraphicsView):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__(background=None)  # that of the window
         self.viewport().setBackgroundRole(QPalette.ColorRole.Window)
+        self.setCacheMode(self.CacheModeFlag.CacheNone)  # another theme has another background
         self.grip = WipeGrip(self.viewport())
 
     def leaveEvent(self, event: QEvent) -> None:
