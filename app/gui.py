@@ -60,7 +60,7 @@ def show_window(
     """
     last_source, last_preset = settings.last_opened()
     name = source or last_source or _SOURCE
-    chosen, problem = preset or default_preset(name), ""
+    chosen, problem = default_preset(name) if preset is None else preset, ""
     if preset is None and last_preset and name == last_source:
         try:
             load_preset(last_preset)

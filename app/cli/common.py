@@ -58,19 +58,11 @@ UntouchedSource = Annotated[
     str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
 ]
 
-
-def _named(preset: str | None) -> str | None:
-    if preset == "":  # of a script whose variable is not set
-        raise typer.BadParameter("it is empty; name a file, or leave it out")
-    return preset
-
-
 PresetOption = Annotated[
     str | None,
     typer.Option(
         "--preset",
         "-p",
-        callback=_named,
         metavar="FILE|NAME",
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
@@ -96,7 +88,7 @@ def chosen_preset(preset: str | None, source: str) -> tuple[Preset, str]:
     """Return the preset that ``--preset`` names, else the source's default, and its origin."""
     from ...core.sources.presets import default_preset, load_preset
 
-    origin = preset or default_preset(source)
+    origin = default_preset(source) if preset is None else preset  # an empty name is wrong
     return load_preset(origin), origin
 
 

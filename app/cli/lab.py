@@ -78,8 +78,7 @@ def table(
     from ...core.lab.table import cell_line, measure_table, plan_table, table_text, time_table
     from ...core.sources.presets import load_preset
 
-    if csv_file is not None:
-        check_writable(csv_file)
+    check_writable(csv_file)
     plan = plan_table(
         load_preset("simulator"),
         Path(user_cache_dir("tactune")) / "table",
@@ -162,8 +161,7 @@ def strain(
     from ...core.lab.strain import StrainError, average_still, check_spacing, indentation_m, measure_strain
     from ...core.rig.untouched import kept_untouched
 
-    if csv_file is not None:
-        check_writable(csv_file)
+    check_writable(csv_file)
     check_spacing(spacing_mm / 1e3)
     chosen, origin = chosen_preset(preset, source)
     records: list[Record] = []
@@ -247,8 +245,7 @@ def scan(
     from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
 
-    if csv_file is not None:
-        check_writable(csv_file)
+    check_writable(csv_file)
     settings, unit_m = _paint(paint or []), UNITS_M[unit]
     names = () if not methods else _names(methods) or method_names()
     check_methods(names)

@@ -166,8 +166,7 @@ def gui(
     """Open the window, with the last source and preset unless others are named."""
     if screenshot is not None and screenshot.suffix.lower() not in (".png", ".jpg"):
         raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in .png or .jpg")
-    if screenshot is not None:
-        check_writable(screenshot)
+    check_writable(screenshot)
     raise typer.Exit(_open_window(source, preset, screenshot))
 
 
@@ -206,7 +205,3 @@ def _open_window(source: str | None, preset: str | None, screenshot: Path | None
             "missing; tactune run works without it"
         ) from error
     return run_gui(source, preset, screenshot)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -64,7 +64,7 @@ def record(
             with stop_on_signals():  # one more signal must not lose the frames that are queued
                 status = writer.close()
         if status.error:
-            kept_frames = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
+            kept_frames = f"; the file holds the {counted(status.frames, 'frame')} before" if status.frames else ""
             raise ExportError(status.error + kept_frames)
         if status.dropped:
             warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
@@ -137,7 +137,7 @@ def _convert_calibration(source: str, target: Path, kind: str, preset: str | Non
     from ...core.preset.file import shipped_presets
     from ...core.sources.presets import default_preset, load_preset
 
-    origin = preset or default_preset(source)
+    origin = default_preset(source) if preset is None else preset
     path = Path(source)
     is_preset = source in shipped_presets() or (path.is_file() and path.suffix == ".json" and path.name != "rig.json")
     if is_preset and preset is None:

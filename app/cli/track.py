@@ -73,8 +73,7 @@ def track(
         raise typer.BadParameter("--out FILE is missing, for the poses, or --truth for a comparison")
     if out is not None and out.suffix.lower() not in SUFFIXES:
         raise ExportError(f"{out} has the suffix {out.suffix!r}; choose one of {', '.join(SUFFIXES)}")
-    if out is not None:
-        check_writable(out)
+    check_writable(out)
     chosen, origin = chosen_preset(preset, source)
     errors: list[PoseError] = []
     done = known = 0

@@ -93,7 +93,7 @@ def tune(
     axes = [parse_axis(text) for text in settings or []]
     sources = source or []
     usual = {default_preset(name) for name in sources}
-    name = preset or (usual.pop() if len(usual) == 1 else "default")
+    name = preset if preset is not None else usual.pop() if len(usual) == 1 else "default"
     base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
     kept = study or (out.with_name(f"{out.stem}.study.log") if out else Path("tune.study.log"))
     if out is not None:
@@ -142,9 +142,9 @@ def _check_out(path: Path, base_file: Path | None) -> None:
 
     if base_file is not None and path.resolve() == base_file.resolve():
         raise ExportError(f"--out would replace {path}, the preset that the search starts from; name another file")
+    check_writable(path)
     if path.exists() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
         raise ExportError(f"{path} already exists and was not written by a search; choose another --out or remove it")
-    check_writable(path)
 
 
 def _parse_frames(text: str | None) -> slice:

@@ -81,8 +81,10 @@ def remove_leftovers(folder: Path, name: str = "*") -> None:
                 shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
-def check_writable(target: Path | str) -> None:
+def check_writable(target: Path | str | None) -> None:
     """Raise if a file cannot be written there, so that nobody waits for a result in vain. Nothing is left behind."""
+    if target is None:
+        return
     _check_ordinary(Path(target))
     final = Path(target).absolute()
     folder = next(parent for parent in final.parents if parent.exists())

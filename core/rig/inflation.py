@@ -21,7 +21,7 @@ _SIGMAS: Final = 3.0
 #: Error of the relative force that all presses of a rig share, larger by a factor where one is weak, and largest
 #: residual of presses that fit together.
 _SHARED_ERROR, _WEAKER, _LARGEST_RESIDUAL = 0.05, 2.0, 0.5
-#: What a membrane of this size can be pressed with; its inflation gives way at some hundred.
+#: What a membrane can be pressed with, N.
 _FORCES_N: Final = 1e-3, 1e3
 _COLUMNS: Final = "frame,force_n or time_s,force_n"
 

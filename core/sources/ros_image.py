@@ -41,7 +41,7 @@ _WIDE: Final = {"rgb16": "rgb8", "bgr16": "bgr8", "rgba16": "rgba8", "bgra16": "
 _PLANES: Final = {"nv12": cv2.COLOR_YUV2RGB_NV12, "nv21": cv2.COLOR_YUV2RGB_NV21}
 _DEPTH: Final = ("16UC1", "mono16", "32FC1")
 #: All encodings of colour.
-_COLORS: Final = (*_TO_RGB, *_WIDE, *_PLANES, "nv24")
+COLORS: Final = (*_TO_RGB, *_WIDE, *_PLANES, "nv24")
 #: The encoding of what OpenCV decodes, by type and number of channels.
 _DECODED: Final = {
     ("uint16", 1): "16UC1",
@@ -75,11 +75,6 @@ def damage_told(path: Path, what: str) -> Iterator[None]:
     except Exception as error:
         detail = foreign(error) or type(error).__name__
         raise SourceError(f"{path}: {what} ({detail}); copy it again if it is damaged") from error
-
-
-def is_color(encoding: str) -> bool:
-    """Whether images of this encoding can be shown."""
-    return encoding in _COLORS
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +139,8 @@ class RawImage:
             luma, chroma = np.split(self._planes(shape, 3), [shape[0]])  # colour of each pixel: a quarter is shown
             pixels = np.vstack([luma, chroma.reshape(*shape, 2)[::2, ::2].reshape(-1, shape[1])])
             return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB_NV12), np.uint8)
-        if not is_color(self.encoding):
-            raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {', '.join(_COLORS)}")
+        if self.encoding not in COLORS:
+            raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {', '.join(COLORS)}")
         bytes_per_pixel, conversion = _TO_RGB[self.encoding]
         pixels = self._rows(shape, bytes_per_pixel).reshape(*shape, bytes_per_pixel)
         if conversion is None:

@@ -20,7 +20,7 @@ from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
 from ..lens import Lens, camera_info_lens, lens_of_file
 from ..recorded import RecordedCamera, RecordedSource
-from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told, is_color
+from ..ros_image import COLORS, FLOAT_UNIT_M, RawImage, damage_told
 from .bags import open_bag
 from .messages import POSES, Bag, matrix_of
 from .topics import (
@@ -242,7 +242,7 @@ class RosSource(RecordedSource):
 
     def _color(self, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
         """Return the lens of a camera's colour and the pose of its depth in it."""
-        if not is_color(color.encoding):
+        if color.encoding not in COLORS:
             raise _GapError(f"{color.name} has the encoding {foreign(color.encoding, 40)!r}, which is not known")
         pose = self._poses.pose(color.frame, depth.frame)
         if pose is None:
