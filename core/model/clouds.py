@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..errors import SourceError
-from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
+from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Int32Array, Uint16Array
 from .frames import NO_DEPTH_COUNTS, DepthCamera, GroundTruth, Rig
 from .intrinsics import Intrinsics
 
@@ -72,6 +72,16 @@ def nearest_pixels(points: Float64Array, camera: Intrinsics) -> tuple[IndexArray
 def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
     """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
     return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)
+
+
+def connected_groups(pixels: IndexArray, width: int) -> Int32Array:
+    """Return the number of the 8-connected group of each flat pixel, from 0; the pixels ascend, and there are some."""
+    import cv2  # on demand: importing the pipeline must not wait for it
+
+    top, bottom = int(pixels[0]) // width, int(pixels[-1]) // width + 1
+    image, places = np.zeros((bottom - top, width), np.uint8), pixels - top * width
+    image.reshape(-1)[places] = 1
+    return np.asarray(cv2.connectedComponents(image, connectivity=8)[1].reshape(-1)[places] - 1, np.int32)
 
 
 def truth_points(truth: GroundTruth, rig: Rig) -> Float32Array:

@@ -13,7 +13,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
-from .clouds import pixel_areas_m2
+from .clouds import connected_groups, pixel_areas_m2
 from .files import finite_or_none
 from .frames import Rig
 
@@ -341,17 +341,13 @@ class ContactPatch:
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
         """The 8-connected parts of the patch, the largest first."""
-        import cv2
-
-        pixels, width = np.flatnonzero(self.mask), self.mask.shape[1]
+        pixels = np.flatnonzero(self.mask)
         if not len(pixels):
             return ()
-        top, bottom = int(pixels[0]) // width, int(pixels[-1]) // width + 1  # labelling is what takes time
-        count, image = cv2.connectedComponents(self.mask[top:bottom].view(np.uint8), connectivity=8)
-        labels = image.reshape(-1)[pixels - top * width] - 1
+        labels = connected_groups(pixels, self.mask.shape[1])
         areas_mm2 = 1e6 * pixel_areas_m2(self.points[:, 2], self.rig.proximity.intrinsics)
-        total_mm2, size = (np.bincount(labels, weights, count - 1) for weights in (areas_mm2, None))
-        sums = np.stack([np.bincount(labels, self.points[:, axis], count - 1) for axis in range(3)], axis=1)
+        total_mm2, size = (np.bincount(labels, weights) for weights in (areas_mm2, None))
+        sums = np.stack([np.bincount(labels, self.points[:, axis]) for axis in range(3)], axis=1)
         centroids = sums / size[:, None]
         members = np.split(np.argsort(labels, kind="stable"), np.cumsum(size)[:-1])
         return tuple(

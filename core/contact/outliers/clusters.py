@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, IndexArray
-from ...model.clouds import pixel_areas_m2
+from ...model.clouds import connected_groups, pixel_areas_m2
 from ...model.intrinsics import Intrinsics
 from ...model.patch import Candidates
 from ..kernels.compiling import kernel
@@ -24,13 +24,7 @@ def in_large_cluster(
     """Return which pixels (flat, ascending) with these depths belong to an 8-connected group of at least the area."""
     if min_area_mm2 <= 0 or len(depth_m) == 0:
         return np.ones(len(depth_m), bool)
-    import cv2  # on demand: importing the pipeline must not wait for it
-
-    width = intrinsics.width
-    top, bottom = int(pixels[0]) // width, int(pixels[-1]) // width + 1
-    image, places = np.zeros((bottom - top, width), np.uint8), pixels - top * width
-    image.reshape(-1)[places] = 1
-    groups = cv2.connectedComponents(image, connectivity=8)[1].reshape(-1)[places]
+    groups = connected_groups(pixels, intrinsics.width)
     areas_mm2 = 1e6 * np.bincount(groups, pixel_areas_m2(depth_m, intrinsics))
     return np.asarray((areas_mm2 >= min_area_mm2)[groups])
 

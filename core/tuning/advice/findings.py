@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
-import cv2
 import numpy as np
 
 from ...contact.doubt import LOST_PRINTS
@@ -188,8 +187,7 @@ def prints(it: Situation) -> Finding | None:
     """Several groups of contact have the colour of prints, and wherever it is, both cameras measure the membrane."""
     if not it.preset.test.needs_proximity:
         return None
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(it.patch.mask.view(np.uint8))
-    large = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] >= _MIN_GROUP_PX]
+    large = [contact.members for contact in it.patch.contacts if len(contact.members) >= _MIN_GROUP_PX]
     if len(large) < _MIN_PRINTS:
         return None
     try:
@@ -198,7 +196,7 @@ def prints(it: Situation) -> Finding | None:
         return None
     if not proposal.changes:
         return None
-    found = sum(covered[labels == label].mean() >= _MIN_COLORED for label in large)
+    found = sum(covered[it.patch.mask][members].mean() >= _MIN_COLORED for members in large)
     if found < 2:
         return None
     hue = proposal.apply(it.preset).mask.hue
@@ -285,10 +283,9 @@ def false_contact(it: Situation) -> Finding | None:
         change_m = (patch.aligned.measured_m - it.untouched_patch.aligned.measured_m)[patch.mask]
         if not abs(float(np.nanmedian(change_m))) < dent_m / 2:
             return None
-    _, _, stats, _ = cv2.connectedComponentsWithStats(patch.mask.view(np.uint8))
     lens, depth_m = it.rig.proximity.intrinsics, float(np.median(patch.points[:, 2]))
-    largest_mm2 = 1e6 * float(stats[1:, cv2.CC_STAT_AREA].max()) * depth_m**2 / (lens.fx * lens.fy)
-    places = counted(len(stats) - 1, "place")
+    largest_px, places = max(len(each.members) for each in patch.contacts), counted(len(patch.contacts), "place")
+    largest_mm2 = 1e6 * largest_px * depth_m**2 / (lens.fx * lens.fy)
     sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
     field, title = _SMALLEST[it.preset.contact_test]
     smallest_mm2 = float(math.ceil(_MARGIN * largest_mm2))
