@@ -195,7 +195,7 @@ class SetUpPanel(QWidget):
             "Verdict", "How far the boundary of a patch is off.", VerdictStep(context, self.press), _judged
         )
         self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)
-        self.start = push_button("Set up this rig", "Run all open steps in their order; stops where you must act")
+        self.start = push_button("Set &up this rig", "Run all open steps in their order; stops where you must act")
         self.start.setFont(text_font("body", bold=True))
         self.skip = push_button("S&kip step", "Go on without the marked step")
         self.start.setDefault(True)
@@ -373,7 +373,7 @@ class SetUpPanel(QWidget):
             if row.work is not None:
                 row.work.start.setEnabled(not busy and self._info is not None and not self._left_out(row))
                 row.work.cancel.setVisible(not self._running)  # Stop does the same
-        self.start.setText("Stop" if self._running else "Set up again" if following is None else "Set up this rig")
+        self.start.setText("Stop" if self._running else "Set &up again" if following is None else "Set &up this rig")
         self.start.setEnabled(self._running or not busy)
         self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)
         self.headline.setText(self._headline(following))
