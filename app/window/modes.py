@@ -43,7 +43,6 @@ class RunPanel(QWidget):
         details: FrameDetails,
     ) -> None:
         super().__init__()
-        self._name = ""
         self._live = QWidget()
         folder = hbox(text_button(actions.recordings_folder), STRETCH)
         vbox(heading("Record"), folder, recording, 8, within=self._live, margins=0)
@@ -51,7 +50,7 @@ class RunPanel(QWidget):
         self.play_live = push_button(
             "Play as &live", "Play this source as if cameras sent it, to try recording and a robot"
         )
-        self.play_live.clicked.connect(lambda: context.sourceRequested.emit(f"live:{self._name}"))
+        self.play_live.clicked.connect(lambda: context.sourceRequested.emit(f"live:{context.source_name}"))
         note = NoteLabel("To record, connect cameras, or play this source as if it were live.")
         hbox((note, 1), self.play_live, within=self._no_live, margins=0)
         vbox(
@@ -70,7 +69,6 @@ class RunPanel(QWidget):
 
     def show_source(self, info: SourceInfo) -> None:
         """Offer to record what is live; the next step of a recording is to export it."""
-        self._name = info.name
         self._live.setVisible(info.length is None)
         self._no_live.setVisible(info.length is not None)
 
