@@ -82,12 +82,14 @@ class TopicsDialog(QDialog):
             choice.currentIndexChanged.connect(lambda _: self._follow(slot.partition(".")[0]))
 
     def _follow(self, role: str) -> None:
-        """With a depth, choose the colour of its camera, where none was chosen."""
-        depth, color = self.choices[f"{role}.depth"].currentData(), self.choices[f"{role}.color"]
-        camera = [image.camera for image in self._found.images if image.name == depth]
-        own = [image.name for image in self._found.images if image.kind == "color" and [image.camera] == camera]
-        if own and not color.currentData():
-            color.setCurrentIndex(color.findData(own[0]))
+        """With a depth, choose the colour of its camera, unless that of a camera without depth was chosen."""
+        images, color = {image.name: image for image in self._found.images}, self.choices[f"{role}.color"]
+        depth, chosen = images.get(self.choices[f"{role}.depth"].currentData()), images.get(color.currentData())
+        cameras = [image.camera for image in images.values() if image.kind == "depth"]
+        camera = depth and depth.camera
+        own = [image.name for image in images.values() if image.kind == "color" and image.camera == camera]
+        if chosen is None or chosen.camera in cameras:
+            color.setCurrentIndex(color.findData(own[0] if own else ""))
 
     def _pixmap(self, topic: str) -> QPixmap:
         """Return the picture of a topic; none if it could not be read."""
@@ -110,11 +112,14 @@ class TopicsDialog(QDialog):
         return [f"{role}.info" for role in ("proximity", "tactile") if chosen.get(f"{role}.depth") in without]
 
     def _ask_lens(self) -> None:
-        [slot, *_] = [slot for slot in self._lacking(self.topics) if slot not in self._lenses]
-        self._dialogs.open_file("lens", "Open the file of a lens", LENS_FILES, partial(self._take_lens, slot))
+        lacking = self._lacking(self.topics)
+        left = [slot for slot in lacking if slot not in self._lenses]
+        # once each has a file, all are asked for again
+        take = partial(self._take_lens, (left or lacking)[0], self._lenses if left else {})
+        self._dialogs.open_file("lens", "Open the file of a lens", LENS_FILES, take)
 
-    def _take_lens(self, slot: str, path: Path) -> None:
-        self._lenses[slot] = path
+    def _take_lens(self, slot: str, others: dict[str, Path], path: Path) -> None:
+        self._lenses = others | {slot: path}
         self._show()
 
     def _show(self) -> None:
@@ -127,13 +132,16 @@ class TopicsDialog(QDialog):
             problem = "Choose the depth of the tactile camera, which sees the membrane."
         elif depths[0] == depths[1]:
             problem = "One topic is chosen twice: choose another one for one camera."
-        without = [slot.partition(".")[0] for slot in self._lacking(self.topics) if slot not in self._lenses]
+        lacking = self._lacking(self.topics)
+        without = [slot.partition(".")[0] for slot in lacking if slot not in self._lenses]
         if without and not problem:
             problem = f"The recording has no lens (camera_info) of the {without[0]} camera: choose a file of it."
-        self.lens.setVisible(bool(without))
+        self.lens.setVisible(bool(lacking))
         self.note.say(problem, error=True)
-        if not problem and not depths[0]:
-            self.note.say("Without proximity depth this is a rig with a tactile camera only.")
+        if not problem:
+            alone = "" if depths[0] else "Without proximity depth this is a rig with a tactile camera only. "
+            files = " and ".join(self._lenses[slot].name for slot in lacking)
+            self.note.say(f"{alone}{files and f'Lens: {files}'}".strip())
         self._open.setEnabled(not problem)
 
 

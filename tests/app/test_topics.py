@@ -76,6 +76,8 @@ def test_the_colour_of_a_camera_comes_with_its_depth(asked):
     assert color_choice.currentData() == ""
     depth_choice.setCurrentIndex(depth_choice.findData("/l515/depth/image_rect_raw"))
     assert color_choice.currentData() == "/l515/color/image_raw"
+    depth_choice.setCurrentIndex(depth_choice.findData("/d405/depth/image_rect_raw"))
+    assert color_choice.currentData() == "", "that of the other camera goes"
 
 
 def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
@@ -90,14 +92,16 @@ def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
 
 def test_a_lens_that_the_recording_lacks_is_asked_for(window, qtbot, tmp_path):
     path = make_recording(tmp_path / "take", [depth("/d405/depth/image_rect_raw", "b_optical", 390, info=None)])
-    (tmp_path / "K.txt").write_text("30 0 15.5 0 31 11.5 0 0 1")
+    (tmp_path / "K,1.txt").write_text("30 0 15.5 0 31 11.5 0 0 1")
+    (tmp_path / "other.txt").write_text("1 0 0")
     window.open_source(str(path))
     qtbot.waitUntil(lambda: window.topics.dialog is not None and window.topics.dialog.isVisible())
     dialog = window.topics.dialog
     assert not dialog.buttons.button(QDialogButtonBox.StandardButton.Open).isEnabled()
-    QTest.mouseClick(dialog.lens, LEFT)
-    type_path(qtbot, tmp_path / "K.txt")
-    qtbot.waitUntil(lambda: not dialog.lens.isVisible())
+    for name in ("other.txt", "K,1.txt"):  # the wrong one is replaced
+        QTest.mouseClick(dialog.lens, LEFT)
+        type_path(qtbot, tmp_path / name)
+        qtbot.waitUntil(lambda name=name: name in dialog.note.text())
     press(dialog, QDialogButtonBox.StandardButton.Open)
     qtbot.waitUntil(lambda: opened(window, path))
     assert window.result.source.rig.tactile.intrinsics.fy == 31

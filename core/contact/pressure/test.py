@@ -361,7 +361,7 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
             break
         free = left
     # without inflation nothing tells a contact pressure
-    return grown, 1 - ratio / grown if grown > 0 else np.full_like(ratio, np.nan), scatter
+    return grown, 1 - ratio / grown if grown > 0 and known.any() else np.full_like(ratio, np.nan), scatter
 
 
 def _parts_with(cells: BoolArray, seeds: BoolArray) -> BoolArray:

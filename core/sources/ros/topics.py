@@ -214,7 +214,8 @@ def split_name(name: str) -> tuple[str, Topics]:
 def parse_topics(text: str) -> Topics:
     """Return the topics that a person names, with commas between; `SourceError` names what is wrong."""
     topics: Topics = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
+    # a comma that no slot follows belongs to the path of a lens
+    for part in filter(None, (part.strip(" ,") for part in re.split(",(?=[^,/=]*=)", text))):
         slot, _, topic = (word.strip() for word in part.partition("="))
         is_file = slot.endswith(".info") and topic and not topic.startswith("/")
         if slot not in SLOTS or not (topic.startswith("/") or is_file):
