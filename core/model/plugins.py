@@ -23,8 +23,6 @@ def added_by_others(group: str, kind: type[Any]) -> tuple[dict[str, Any], dict[s
     problems: dict[str, str] = {}
     for entry in entry_points(group=group):
         package = entry.dist.name if entry.dist is not None else "?"
-        if package == "tactune":  # an installation from before our own were plain imports
-            continue
         where = f"the entry point {entry.name!r} ({group}) of the package {package}"
         try:
             loaded = entry.load()
