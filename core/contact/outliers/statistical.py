@@ -148,9 +148,9 @@ def surely_below_threshold(means: Float64Array, ratio: float) -> BoolArray | Non
     If every mean has a relative error of at most `UNCERTAINTY`, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
-    centre, wide = means.mean(), math.sqrt(len(means) - 1)
-    threshold = centre + ratio * math.sqrt(np.square(means - centre).sum()) / wide
-    norm = math.sqrt(np.square(means).sum()) / wide
+    centre, root = means.mean(), math.sqrt(len(means) - 1)
+    threshold = centre + ratio * math.sqrt(np.square(means - centre).sum()) / root
+    norm = math.sqrt(np.square(means).sum()) / root
     error = UNCERTAINTY * (centre + ratio * norm) * (1 + 1e-6)
     certain = (means > _MIN_MEAN_M) & (np.abs(means - threshold) > error + UNCERTAINTY * means)
     return np.asarray(means < threshold) if certain.all() else None
