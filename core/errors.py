@@ -5,7 +5,7 @@ Every message names the field or file, the value found there and what to do.
 
 
 class TactuneError(Exception):
-    """Root of every error that a person or a program can act on. Its text is one line, for a terminal without harm."""
+    """Root of every error that a person or a program can act on. Its text is one line, without control characters."""
 
     def __str__(self) -> str:
         return printable(super().__str__().replace("\n", " "))

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
+from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.intrinsics import Intrinsics
 from ..kernels.quadric import CELL_PX, POWERS, add_triangles, average_cells, bend_quadrics, fit_quadrics
@@ -24,9 +24,6 @@ _MIN_SHARE: Final = 0.5
 _STEEPEST, _SURFACE_SHARE = 3.0, 0.05
 #: Smallest share of a window that must be seen for a curvature, and for a depth.
 _WINDOW_SHARE, _DEPTH_SHARE = 0.6, 0.3
-
-
-Image = TypeVar("Image", Float32Array, Uint8Array)
 
 
 class Grid(NamedTuple):
@@ -50,12 +47,12 @@ class Grid(NamedTuple):
         rows, columns = (slice(CELL_PX * first, CELL_PX * end) for first, end in ranges)
         return cls(rays[..., 0], rays[..., 1], (CELL_PX / lens.fx, CELL_PX / lens.fy), (rows, columns))
 
-    def to_image(self, values: Image, shape: tuple[int, int], beyond: float) -> Image:
-        """Return values of the cells, float32 or uint8, on the pixels of an image, interpolated."""
+    def to_image(self, values: Float32Array, shape: tuple[int, int], beyond: float) -> Float32Array:
+        """Return values of the cells on the pixels of an image, interpolated; ``beyond`` outside the cells."""
         import cv2
 
         rows, columns = self.pixels
-        image = np.full(shape, beyond, values.dtype)
+        image = np.full(shape, beyond, np.float32)
         size = columns.stop - columns.start, rows.stop - rows.start
         image[self.pixels] = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
         return image
