@@ -5,8 +5,8 @@ nearest: it is farther than the four planes through the camera centre along the 
 row, also with lens distortion (`grid.side_planes`). Sixteen neighbouring pixels are searched together (`row_search`),
 those at edges one by one (`point_search`), the rest against all points. Counting below a threshold and interpolating
 encloses the k-th distance. Each float32 mean is within 4 x 2^-24 of the exact one, which bounds the error of the
-threshold. Only if a point lies within that margin, which is rare, are the means computed by a k-d tree, with Open3D's
-bits.
+threshold. Only if a point lies within that margin, as in about one frame of a hundred with 20,000 points, are the means
+computed by a k-d tree, which takes about as long again, with Open3D's bits.
 """
 
 from __future__ import annotations
