@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -134,11 +135,12 @@ def _write_gif(path: Path, pictures: Iterator[Uint8Array], rate_hz: float) -> No
 def _write_mp4(path: Path, pictures: Iterator[Uint8Array], rate_hz: float) -> None:
     import cv2
 
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what is wrong is told below
     first = next(pictures)
     size = (first.shape[1], first.shape[0])
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, size)
     if not video.isOpened():
-        raise ExportError(f"cannot write {path.suffix}: this OpenCV has no encoder for it; choose .gif")
+        raise ExportError(f"cannot write {path.suffix}: the disk is full or OpenCV has no encoder for it; choose .gif")
     try:
         video.write(first[:, :, ::-1])
         count = 1
