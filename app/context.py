@@ -38,7 +38,6 @@ class Context(QObject):
     """
 
     frameShown = pyqtSignal()  # `result` is on the screen
-    trimChanged = pyqtSignal()
     saveRequested = pyqtSignal()  # emit it to save the preset, after asking for a file if it has none
     sourceRequested = pyqtSignal(str)  # emit it to open a source by its name
 

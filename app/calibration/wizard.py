@@ -81,13 +81,13 @@ class CalibrationWizard(QDialog):
             self.steps.addButton(button, number)
             buttons.append(button)
         self.over = push_button("Start o&ver", "Clear the wizard; undo restores everything until it is closed")
-        self.undo = push_button("&Undo", "Nothing to undo (Ctrl+Z)")
-        self.redo = push_button("&Redo", "Nothing to redo (Ctrl+Shift+Z)")
+        self.undo = push_button("&Undo", "Nothing to undo (Ctrl+Z)", "Ctrl+Z")
+        self.redo = push_button("&Redo", "Nothing to redo (Ctrl+Shift+Z)", "Ctrl+Shift+Z")
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
         self.verdict = wrapped_label()
-        self.back = push_button("&Back", "To the step before (Ctrl+Page Up)")
+        self.back = push_button("&Back", "To the step before (Ctrl+Page Up)", "Ctrl+PgUp")
         self.next = push_button("&Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(
             "S&ave preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
@@ -140,10 +140,7 @@ class CalibrationWizard(QDialog):
         ):
             changed.connect(self._show_steps)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
-            ("Ctrl+PgUp", self.back.click),
             ("Ctrl+PgDown", self.go_on),
-            ("Ctrl+Z", stack.undo),
-            ("Ctrl+Shift+Z", stack.redo),
             ("Ctrl+Y", stack.redo),
             ("Ctrl+S", self.save_preset),
             *((f"Ctrl+{number + 1}", partial(self.go_to, number)) for number in range(len(STEPS))),

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPipeline
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset
+    from ...core.rig.untouched import FoundUntouched
     from ...core.sources import FrameSource
 
 #: The default source.
@@ -257,10 +258,14 @@ def open_pipeline(name: str, preset: Preset, origin: str) -> Iterator[tuple[Fram
 
 
 def untouched_for(preset: Preset, origin: str, source: FrameSource) -> SensorFrame | None:
-    """Return the untouched frame that is kept, or that the contact test needs; warn of one that cannot be used."""
+    """Return the untouched frame that is kept, or that the contact test needs."""
     from ...core.rig.untouched import find_untouched, kept_untouched
 
-    found = (find_untouched if preset.test.needs_untouched else kept_untouched)(preset, origin, source)
+    return usable((find_untouched if preset.test.needs_untouched else kept_untouched)(preset, origin, source))
+
+
+def usable(found: FoundUntouched) -> SensorFrame | None:
+    """Return the untouched frame that was found; warn of one that cannot be used."""
     warn(*found.warnings)
     return found.frame
 

@@ -26,6 +26,7 @@ from .common import (
     parse_settings,
     say,
     table_text,
+    usable,
     warn,
 )
 
@@ -167,9 +168,7 @@ def strain(
     records: list[Record] = []
     latest: deque[SensorFrame] = deque(maxlen=average)
     with open_with_progress(source, chosen) as opened, CliProgress() as progress:
-        total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
-        untouched = kept.frame
-        warn(*kept.warnings)
+        total, untouched = number_of_frames(opened, frames), usable(kept_untouched(chosen, origin, opened))
         for frame in itertools.islice(opened, total):
             untouched = untouched or frame
             latest.append(frame)

@@ -19,14 +19,13 @@ from .common import (
     refuse_existing,
     say,
     stop_on_signals,
+    usable,
     warn,
     with_topics,
 )
 
 if TYPE_CHECKING:
-    from ...core.model.frames import SensorFrame
     from ...core.output.writer import SessionWriter
-    from ...core.preset import Preset
     from ...core.sources import FrameSource
 
 _Preset = Annotated[
@@ -51,6 +50,7 @@ def record(
     frames that the disk was too slow for are dropped and counted.
     """
     from ...core.output.writer import SessionWriter
+    from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
 
     if out.suffix != ".mcap":
@@ -58,7 +58,7 @@ def record(
     refuse_existing(out)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(with_topics(source, topics), kept) as opened:
-        untouched, rate_hz = _untouched(kept, preset, opened), opened.frame_rate_hz
+        untouched, rate_hz = usable(kept_untouched(kept, preset, opened)), opened.frame_rate_hz
         with SessionWriter(out, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
             _record_frames(opened, writer, frames)
             with stop_on_signals():  # one more signal must not lose the frames that are queued
@@ -158,6 +158,7 @@ def _convert_recording(
     """Write the frames of a source, without loss."""
     from ...core.output.hdf5 import export_hdf5
     from ...core.output.writer import export_mcap
+    from ...core.rig.untouched import kept_untouched
     from ...core.sources.folder import export_folder
     from ...core.sources.presets import default_preset, load_preset
     from ...core.sources.tactune_files import McapSource
@@ -175,7 +176,7 @@ def _convert_recording(
                 raise KeyboardInterrupt  # also for SIGTERM: the writers remove what is not complete
             progress.frames(round(share * 100), 100)
 
-        untouched = None if kind == "folder" else _untouched(kept, preset, opened)
+        untouched = None if kind == "folder" else usable(kept_untouched(kept, preset, opened))
         if kept is not None and share:
             count = share_mcap(opened, target, frames, kept, untouched, progress=show, exclusive=True)
         elif kind == "mcap":
@@ -194,15 +195,6 @@ def _convert_recording(
         if isinstance(opened, McapSource) and opened.has_poses:
             warn(f"the poses of the object in {opened.name} were not written; tactune track computes them again")
     say(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
-
-
-def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
-    """Return the untouched frame for the recording: the preset's own, else the source's."""
-    from ...core.rig.untouched import kept_untouched
-
-    found = kept_untouched(preset, origin, source)
-    warn(*found.warnings)
-    return found.frame
 
 
 def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None) -> None:

@@ -35,6 +35,7 @@ from .common import (
     say,
     stop_on_signals,
     tell_of_stop,
+    usable,
     warn,
     with_topics,
 )
@@ -286,9 +287,7 @@ def _drift_watch(watching: bool, pipeline: ContactPipeline, origin: str, source:
     from ...core.rig.drift import Watch
     from ...core.rig.untouched import find_untouched
 
-    found = find_untouched(pipeline.preset, origin, source)
-    warn(*found.warnings)
-    watch = Watch(pipeline.preset, source.rig, found.frame)
+    watch = Watch(pipeline.preset, source.rig, usable(find_untouched(pipeline.preset, origin, source)))
     remedy = f" Check with: tactune check --preset {quote(origin)} --source {quote(source.name)}"
     running: Future[WatchReport | None] | None = None
 

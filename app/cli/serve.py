@@ -31,13 +31,9 @@ from .run import EstimateOption, make_tilt
 from .track import UnitOption, read_mesh
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from ...core.contact.pipeline import ContactPatch, ContactPipeline
+    from ...core.contact.pipeline import ContactPatch
     from ...core.estimation.pose import PoseTracker
-    from ...core.estimation.tilt import Tilt
     from ...core.output.publisher import Publisher
-    from ...core.sources import FrameSource
 
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
 
@@ -101,11 +97,12 @@ def serve(
         open_with_progress(source, chosen) as opened,
     ):
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
+        from ...core.model.patch import Lazy
         from ...core.sources.capture.live import LiveLoop
         from ...core.warmup import warm_up_if_needed
 
         playing = opened if opened.length is None else LiveLoop(opened)
-        tilt, poses = make_tilt(estimate, chosen, playing.rig), None
+        tilt, poses, count = make_tilt(estimate, chosen, playing.rig), None, 0
         if mesh is not None:
             from ...core.estimation.pose import PoseTracker
 
@@ -118,35 +115,18 @@ def serve(
             if connections.warning:
                 warn(connections.warning)
             pipeline = ContactPipeline(chosen, playing.rig, untouched_for(chosen, origin, opened))
-            count = _publish(playing, pipeline, publisher, tilt, poses, frames, stopped)
+            try:
+                for frame in live_frames(playing, frames, stopped):
+                    patch = pipeline.process(frame)
+                    record = None if tilt is None else Lazy(tilt(patch).record)
+                    publisher.put(frame, patch, chosen, record)
+                    if poses is not None:
+                        poses.put(patch, frame.proximity_time_s)
+                    count += 1
+            finally:
+                if poses is not None:
+                    poses.close()
         say(f"published {counted(count, 'frame')} of {playing.name}")
-
-
-def _publish(
-    source: FrameSource,
-    pipeline: ContactPipeline,
-    publisher: Publisher,
-    tilt: Callable[[ContactPatch], Tilt] | None,
-    poses: _Poses | None,
-    frames: int | None,
-    stopped: Event,
-) -> int:
-    """Process and publish frames; return their number."""
-    from ...core.model.patch import Lazy
-
-    count = 0
-    try:
-        for frame in live_frames(source, frames, stopped):
-            patch = pipeline.process(frame)
-            record = None if tilt is None else Lazy(tilt(patch).record)
-            publisher.put(frame, patch, pipeline.preset, record)
-            if poses is not None:
-                poses.put(patch, frame.proximity_time_s)
-            count += 1
-    finally:
-        if poses is not None:
-            poses.close()
-    return count
 
 
 class _Poses:

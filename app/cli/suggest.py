@@ -19,6 +19,7 @@ from .common import (
     chosen_preset,
     open_with_progress,
     say,
+    usable,
     warn,
 )
 from .preset import check_target, save_changed
@@ -71,9 +72,8 @@ def suggest(
 
         frames = _recent_frames(opened, frame)
         with CliProgress() as progress:
-            found = find_untouched(chosen, origin, opened, progress.preparing)
-        warn(*found.warnings)
-        evidence = Evidence(chosen, opened.rig, frames, found.frame)
+            untouched = find_untouched(chosen, origin, opened, progress.preparing)
+        evidence = Evidence(chosen, opened.rig, frames, usable(untouched))
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
         proposals = suggest_all(evidence, progress.preparing, section)
@@ -105,17 +105,16 @@ def findings(
         from ...core.tuning.advice.findings import Examiner, unusable_test
         from ...core.warmup import warm_up_if_needed
 
-        stored = kept_untouched(chosen, origin, opened)
-        warn(*stored.warnings)
-        unusable = unusable_test(chosen, opened.rig, stored.frame)
+        untouched = usable(kept_untouched(chosen, origin, opened))
+        unusable = unusable_test(chosen, opened.rig, untouched)
         if unusable is not None:
             found: tuple[Finding, ...] = (unusable,)
         else:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing, chosen)
-            pipeline, frames = ContactPipeline(chosen, opened.rig, stored.frame), _recent_frames(opened, frame)
+            pipeline, frames = ContactPipeline(chosen, opened.rig, untouched), _recent_frames(opened, frame)
             patches = [pipeline.process(each) for each in frames]
-            found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
+            found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, untouched)
     for finding in found:
         say(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:

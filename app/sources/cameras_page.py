@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker
-from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem
+from PyQt6.QtWidgets import QComboBox, QFormLayout
 
 from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
 from ...widgets.basics.controls import caption, named, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.record_table import Column, RecordTable
 from ..worker.jobs import Job
 from .list_devices import ask_driver
 from .pages import SourcePage
@@ -31,7 +32,13 @@ _ONE = (
 _WHICH = "Choose the tactile camera."
 _SAME = "The same camera is chosen twice: choose another one for one role."
 _ANY = "by its model"
-_PROBLEM_COLUMN = 4
+_COLUMNS = (
+    Column("Model", lambda camera: camera["model"]),
+    Column("Serial number", lambda camera: camera["serial"]),
+    Column("Firmware", lambda camera: camera.get("firmware", "")),
+    Column("USB", lambda camera: f"USB {camera['usb']}" if camera.get("usb") else ""),
+    Column("Note", lambda camera: camera.get("problem", ""), hint=lambda camera: camera.get("problem", "")),
+)
 _ROS2 = "ros2:"
 #: Data of the entry for no proximity camera.
 _ALONE = "none"
@@ -49,11 +56,7 @@ class CamerasPage(SourcePage):
         self._found: list[dict[str, Any]] = []
         self._hint = ""
         self._has_searched = False
-        self.list = named(QTreeWidget(), "Connected cameras", "The cameras that are connected now")
-        self.list.setHeaderLabels(["Model", "Serial number", "Firmware", "USB", "Note"])
-        self.list.setRootIsDecorated(False)
-        if (header := self.list.header()) is not None:
-            header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.list = RecordTable(_COLUMNS, "Connected cameras", "The cameras that are connected now")
         self.proximity = _combo(
             "Proximity camera", "Looks through the membrane at the object: the L515 (infrared, time of flight)"
         )
@@ -68,7 +71,7 @@ class CamerasPage(SourcePage):
         self.topics.clicked.connect(self._open_topics)
         self.proximity.currentIndexChanged.connect(self._check)
         self.tactile.currentIndexChanged.connect(self._check)
-        self.list.itemActivated.connect(lambda _: self.activated.emit())
+        self.list.activated.connect(lambda _: self.activated.emit())
         self._search.done.connect(self._show_answer)
         self._search.failed.connect(self._show_failure)
 
@@ -104,13 +107,7 @@ class CamerasPage(SourcePage):
         if not any(camera.get("role") == "proximity" for camera in cameras):
             self._hint = "; ".join(filter(None, [answer.get("hint", ""), *answer.get("problems", [])]))
         self.refresh.setEnabled(True)
-        self.list.clear()
-        for camera in cameras:
-            usb = f"USB {camera['usb']}" if camera.get("usb") else ""
-            problem = camera.get("problem", "")
-            item = QTreeWidgetItem([camera["model"], camera["serial"], camera.get("firmware", ""), usb, problem])
-            item.setToolTip(_PROBLEM_COLUMN, problem)
-            self.list.addTopLevelItem(item)
+        self.list.set_records(cameras)
         for combo, remembered, through in zip(
             (self.proximity, self.tactile), self._remembered, (True, False), strict=True
         ):

@@ -91,7 +91,6 @@ class Timeline(QObject):
     def _set_trim(self, trim: tuple[int, int] | None) -> None:
         self._context.trim = trim
         self._strip.set_trim(trim)
-        self._context.trimChanged.emit()
 
     @staticmethod
     def _several(info: SourceInfo) -> bool:

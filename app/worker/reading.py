@@ -72,9 +72,6 @@ class FrameReader:
         if self._ahead is None and index is not None:
             self._ahead = index, self._thread.submit(self._read, index)
 
-    def untouched(self) -> SensorFrame | None:
-        return self._thread.submit(self.source.untouched).result()
-
     def close(self) -> None:
         """Close the source after the read in progress."""
         self._thread.submit(self.source.close)

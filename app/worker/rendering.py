@@ -46,35 +46,26 @@ from ...widgets.images.strip_render import (
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 
 
-def draw_strip(
-    frame: SensorFrame,
-    patch: ContactPatch | None,
-    preset: Preset,
-    rig: Rig,
-    depth_range_m: tuple[float, float],
-    *,
-    accepted: float,
-    images: frozenset[str],
-    width_hint: int,
-    shows_mask: bool = True,
-) -> RenderedStrip:
-    """Return colour, expected and measured depth and relative difference, in ``width_hint`` px (0: all)."""
+def draw_strip(scene: Scene, wanted: Wanted) -> RenderedStrip:
+    """Return the wanted ones of colour, expected and measured depth and relative difference."""
+    frame, patch, rig, images = scene.frame, scene.patch, scene.rig, wanted.images
+    depth_range_m = scene.tactile_range_m or scene.depth_range_m
     typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
     height, width = frame.proximity_depth.shape
-    stride = stride_for(width, width_hint)
+    stride = stride_for(width, wanted.strip_width)
     every = np.s_[::stride, ::stride]
     counts = np.ascontiguousarray(frame.proximity_depth[every])
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
-    image, masked = frame.proximity_color, preset.mask.enabled
+    image, mask = frame.proximity_color, scene.preset.mask
     as_masked = image if patch is None or patch.mask_colors is None else patch.mask_colors.get()
     panes: dict[str, Uint8Array] = {}
     if "color" in images:
         color, covered = aligned_color(image, rig, depth_m, valid, typical_m, stride), None
-        if masked and shows_mask:
+        if mask.enabled and wanted.shows_mask:
             same = as_masked is image
             compared = color if same else aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
-            covered = in_hsv_range(compared, preset.mask)
+            covered = in_hsv_range(compared, mask)
         panes["color"] = color_pane(color, covered)
     if images != {"color"}:  # aligning depth takes long
         if patch is not None:
@@ -87,13 +78,13 @@ def draw_strip(
         draw: dict[str, Callable[[], Uint8Array]] = {
             "proximity": lambda: depth_pane(expected_m, depth_range_m),
             "tactile": lambda: depth_pane(measured_m, depth_range_m),
-            "difference": lambda: difference_pane(expected_m, measured_m, accepted),
+            "difference": lambda: difference_pane(expected_m, measured_m, scene.accepted),
         }
         panes |= {name: pane() for name, pane in draw.items() if name in images}
     if patch is not None:
         outline_contact(panes.values(), patch.mask[every])
-    share = masked_share(as_masked, preset.mask) if masked else None
-    return RenderedStrip(panes, (width, height), stride, depth_range_m, accepted, share)
+    share = masked_share(as_masked, mask) if mask.enabled else None
+    return RenderedStrip(panes, (width, height), stride, depth_range_m, scene.accepted, share)
 
 
 def aligned_color(
@@ -213,19 +204,6 @@ class Renderer:
             for name in CloudName
             if name in wanted.clouds
         }
-        strip = None
-        if wanted.images:
-            strip = draw_strip(
-                frame,
-                patch,
-                preset,
-                rig,
-                tactile_range_m,
-                accepted=scene.accepted,
-                images=wanted.images,
-                width_hint=wanted.strip_width,
-                shows_mask=wanted.shows_mask,
-            )
         if not patch or len(patch.points) or CloudName.PATCH not in wanted.clouds:
             self._no_contact = "", ""
         elif wanted.words or not self._no_contact[0]:
@@ -234,7 +212,7 @@ class Renderer:
         return Rendered(
             clouds=clouds,
             color_by=color_by,
-            strip=strip,
+            strip=draw_strip(scene, wanted) if wanted.images else None,
             histogram=histogram_of(patch, preset, wanted.histograms) if patch else None,
             median_distance_m=self._median_m,
             depth_range_m=depth_range_m,

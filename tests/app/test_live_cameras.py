@@ -8,7 +8,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QCheckBox, QDialogButtonBox
 
 from fakes import FakeCameras
-from hands import press, show_source, type_into
+from hands import cells, press, show_source, type_into
 from tactune.app.sources import list_devices
 from tactune.app.window.main_window import MainWindow
 
@@ -51,14 +51,19 @@ def open_button(dialog):
     return dialog.buttons.button(QDialogButtonBox.StandardButton.Open)
 
 
-def test_the_cameras_are_listed_and_guessed_by_their_model(window, finding, qtbot):
+def test_the_cameras_are_listed_and_guessed_by_their_model_and_one_twice_is_not_opened(window, finding, qtbot):
     finding(D405, L515)
     dialog = chooser(window, qtbot)
-    assert [dialog.page.list.topLevelItem(row).text(1) for row in range(2)] == ["d002", "f001"]
-    assert dialog.page.list.topLevelItem(0).text(3) == "USB 3.2"
+    first, second = cells(dialog.page.list)
+    assert (first[1], first[3], second[1]) == ("d002", "USB 3.2", "f001")
     assert (dialog.page.proximity.currentData(), dialog.page.tactile.currentData()) == ("f001", "d002")
     assert dialog.note.text() == "2 cameras were found."
     assert dialog.name.text() == "cameras:f001,d002"
+    dialog.page.tactile.setFocus()
+    QTest.keyClick(dialog.page.tactile, Qt.Key.Key_Down)
+    assert dialog.page.tactile.currentData() == "f001"
+    assert "same camera" in dialog.note.text() and not open_button(dialog).isEnabled()
+    QTest.keyClick(dialog.page.tactile, Qt.Key.Key_Up)
     QTest.mouseClick(open_button(dialog), LEFT)
     qtbot.waitUntil(lambda: window.opened_names == ["cameras:f001,d002"])
     cameras = window.document.preset.cameras
@@ -88,17 +93,6 @@ def test_a_tactile_camera_alone_and_ros_2_topics_are_opened_from_the_page(window
     QTest.mouseClick(dialog.page.topics, LEFT)
     qtbot.waitUntil(lambda: asked[1:] == ["ros2:"])
     assert window.document.preset.cameras.tactile.serial == "d002"
-
-
-def test_one_camera_twice_cannot_be_opened(window, finding, qtbot):
-    finding(L515, D405)
-    dialog = chooser(window, qtbot)
-    assert open_button(dialog).isEnabled()
-    dialog.page.tactile.setFocus()
-    QTest.keyClick(dialog.page.tactile, Qt.Key.Key_Up)
-    assert dialog.page.tactile.currentData() == "f001"
-    assert "same camera" in dialog.note.text()
-    assert not open_button(dialog).isEnabled()
 
 
 @pytest.mark.parametrize(
@@ -152,7 +146,7 @@ def test_every_option_has_a_row_that_says_what_it_means(panel):
     assert isinstance(panel.rows["tactile", "enable_auto_exposure"].widget, QCheckBox)
 
 
-def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(window, cameras, panel, qtbot):
+def test_typed_numbers_and_other_presets_reach_the_cameras_and_are_undone(window, cameras, panel, preset, qtbot):
     type_into(panel.rows["tactile", "exposure"].widget.entry, "1234")
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 1234)
     assert window.document.preset.cameras.tactile.options == {"exposure": 1234.0}
@@ -161,6 +155,9 @@ def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(wind
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
     assert window.document.preset.cameras.tactile.options == {}
     qtbot.waitUntil(lambda: panel.rows["tactile", "exposure"].widget.value() == 8500)
+    window.document.new(preset.with_value("cameras.proximity.options", {"laser_power": 12.0}))
+    qtbot.waitUntil(lambda: cameras.values["proximity", "laser_power"] == 12)
+    assert panel.rows["proximity", "laser_power"].widget.value() == 12
 
 
 def test_a_refusal_is_said(window, cameras, panel, qtbot):
@@ -168,12 +165,6 @@ def test_a_refusal_is_said(window, cameras, panel, qtbot):
     type_into(panel.rows["tactile", "exposure"].widget.entry, "1234")
     qtbot.waitUntil(lambda: any("switch auto exposure off first" in said for said in window.messages.sentences()))
     assert cameras.values["tactile", "exposure"] == 8500
-
-
-def test_another_preset_sets_the_cameras(window, cameras, panel, preset, qtbot):
-    window.document.new(preset.with_value("cameras.proximity.options", {"laser_power": 12.0}))
-    qtbot.waitUntil(lambda: cameras.values["proximity", "laser_power"] == 12)
-    assert panel.rows["proximity", "laser_power"].widget.value() == 12
 
 
 def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):

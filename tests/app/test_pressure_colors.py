@@ -10,8 +10,8 @@ from PyQt6.QtTest import QTest
 from fakes import FakeSource
 from hands import show_source, shows_preset_of_document, strip_position
 from tactune.app.timeline.series import time_series
-from tactune.app.worker.rendering import draw_strip
-from tactune.app.worker.results import CloudName, ColorBy
+from tactune.app.worker.rendering import Scene, draw_strip
+from tactune.app.worker.results import CloudName, ColorBy, Wanted
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.rig.untouched import untouched_frame
 from tactune.widgets.basics.gestures import new_gesture
@@ -189,12 +189,8 @@ def test_the_mask_is_drawn_as_it_was_used_in_half_of_the_light(pressed, preset):
 
     def masked(each):
         patch = pipeline.process(each)
-        with_mask, without = (
-            draw_strip(
-                each, patch, preset, rig, (0.2, 0.4), accepted=0.03, images={"color"}, width_hint=0, shows_mask=shows
-            )
-            for shows in (True, False)
-        )
+        scene = Scene(each, patch, preset, rig, ColorBy.CONTACT, "light", (0.2, 0.4))
+        with_mask, without = (draw_strip(scene, Wanted(shows_mask=shows)) for shows in (True, False))
         return (with_mask.panes["color"] != without.panes["color"]).any(axis=2), with_mask.masked_share
 
     (bright, share), (dark, share_dark) = (

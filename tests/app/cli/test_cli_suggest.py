@@ -3,9 +3,7 @@
 import pytest
 
 from tactune.core.preset.file import save_preset
-from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.registry import open_source
 
 SCENE = "sim:cup?press=medium"
 SHIPPED = load_preset("simulator")
@@ -32,14 +30,6 @@ def test_each_proposal_is_printed_and_all_are_written(tactune, spoiled, tmp_path
     settings = [word for line in finished.out.splitlines() if "--set" in line for word in line.split()]
     assert tactune("preset", "new", "--from", spoiled, *settings, "--out", tmp_path / "set.json").status == 0
     assert load_preset(tmp_path / "set.json").mask == mended.mask
-
-
-def test_a_section_without_evidence_is_refused_with_the_remedy(tactune, tmp_path):
-    with open_source("sim:octopus?press=low&sensor=datasheet") as source:
-        export_folder(source, tmp_path / "pressed", frames=1)
-    save_preset(load_preset("simulator").with_value("mask.enabled", False), tmp_path / "bare.json")
-    named = ("preset", "suggest", "--source", f"folder:{tmp_path / 'pressed'}", "--preset", tmp_path / "bare.json")
-    assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
 
 
 def test_the_present_frame_can_be_chosen(tactune):

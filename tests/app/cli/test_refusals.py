@@ -61,6 +61,7 @@ REFUSED = [
     ("preset measure-rig --source IN --out OUT/clip.mcap", "is no preset file"),
     ("preset measure-rig --source IN --out SHIPPED", "already there"),
     ("preset suggest --source IN --section musk", "mask, contact_test"),
+    ("preset suggest --source IN --preset default --section mask", "capture an untouched frame"),
     ("preset suggest --source IN --frame 5", "no frame 5"),
     ("preset suggest --source IN --frame 5000", "frames run from 0 to 3"),
     ("preset suggest --source IN --frame 6", "no frame 6"),
