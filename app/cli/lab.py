@@ -288,11 +288,10 @@ def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSou
 
     if not names:
         return {"preset": ContactPipeline(preset, source.rig).process}
-    found = find_untouched(preset, origin, source)
-    finds = {}
+    untouched, finds = usable(find_untouched(preset, origin, source)), {}
     for name in names:
         try:
-            finds[name] = make_method(name, preset, source.rig, found.frame)
+            finds[name] = make_method(name, preset, source.rig, untouched)
         except TactuneError as error:
             warn(f"skipped: {error}")
     return finds

@@ -382,7 +382,7 @@ class MainWindow(QMainWindow):
         self.worker.set_wanted(
             Wanted(
                 clouds=self.views.visible_clouds(),
-                color_by=self.views.chosen_colors(),
+                color_by=self.views.colors,
                 images=frozenset() if self.strip.isHidden() else frozenset(self.strip.shown_images()),
                 strip_width=self.strip.width_hint(),
                 shows_mask=self.panel.show_mask.isChecked(),
@@ -483,7 +483,7 @@ class MainWindow(QMainWindow):
         settings.set("window/mode", self.modes.mode.value)
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
         settings.set("view/point_size", self.views.point_size.value())
-        settings.set("view/color_by", self.views.chosen_colors().value)
+        settings.set("view/color_by", self.views.colors.value)
         hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]
         settings.set("window/hidden", ",".join(hidden))
 

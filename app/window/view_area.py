@@ -85,13 +85,12 @@ class ViewArea(QWidget):
         #: The view or image in the large place.
         self.large: QWidget = self.views[CloudName.PATCH]
         link_cameras(list(self.views.values()))
-        self._legends: dict[CloudName, object] = {}
         for view in self.views.values():
             view.wipeDragged.connect(self.wipeDragged)
             view.find_focus = self._focus
         self.color_by = ChoiceBox()
         self.color_by.setAccessibleName("Colour by")
-        self._colors = ColorBy.CONTACT  # as chosen, also while the frames on the screen have no pressure
+        self.colors = ColorBy.CONTACT  # as chosen, also while the frames on the screen have no pressure
         self._offer_colors(with_pressure=False)
         self.color_by.currentIndexChanged.connect(lambda _: self.choose_colors(self.color_by.currentData()))
         tip = "Point size in pixels; one or two more where that closes gaps"
@@ -176,11 +175,8 @@ class ViewArea(QWidget):
         self._fit_legends()
         self.wantedChanged.emit()
 
-    def chosen_colors(self) -> ColorBy:
-        return self._colors
-
     def choose_colors(self, choice: ColorBy) -> None:
-        self._colors = choice
+        self.colors = choice
         with QSignalBlocker(self.color_by):
             self.color_by.setCurrentIndex(max(0, self.color_by.findData(choice)))
         self.wantedChanged.emit()
@@ -191,7 +187,7 @@ class ViewArea(QWidget):
             for number, choice in enumerate(each for each in ColorBy if with_pressure or each != ColorBy.PRESSURE):
                 self.color_by.addItem(choice.value.capitalize(), choice)
                 self.color_by.setItemData(number, _COLOR_TIPS[choice], Qt.ItemDataRole.ToolTipRole)
-            self.color_by.setCurrentIndex(max(0, self.color_by.findData(self._colors)))
+            self.color_by.setCurrentIndex(max(0, self.color_by.findData(self.colors)))
         self.color_by.setToolTip(_COLORS_TIP if with_pressure else _NO_PRESSURE)
 
     def visible_clouds(self) -> frozenset[CloudName]:
@@ -201,7 +197,7 @@ class ViewArea(QWidget):
         """Show the clouds of a result with their legends, of two compared presets on both sides of the wipe."""
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
-        legends = dict(self._legends)
+        legends = [view.legend.entries for view in self.views.values()]
         self.set_wipe(wipe)
         sides = (result,) if result.compared is None else (result.compared.a, result.compared.b)
         with_pressure = any(side.patch is not None and side.patch.pressure is not None for side in sides)
@@ -216,7 +212,7 @@ class ViewArea(QWidget):
             for name in result.rendered.clouds:
                 cloud, message = _shown(name, result)
                 self._show_cloud(name, cloud, message, legend_of(name, result.rendered, theme))
-        if self._legends != legends:
+        if legends != [view.legend.entries for view in self.views.values()]:
             self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
@@ -255,8 +251,7 @@ class ViewArea(QWidget):
         view = self.views[name]
         view.set_cloud(cloud)
         view.set_message(message)
-        if self._legends.get(name) != legend:
-            self._legends[name] = legend
+        if view.legend.entries != legend:
             view.legend.setValue(legend)
 
     def _fit_legends(self) -> None:

@@ -70,7 +70,7 @@ def test_the_layout_is_remembered(make_window):
     assert again.views.views[CloudName.TACTILE].isHidden()
     assert not again.actions_.show_tactile.isChecked()
     assert again.panel.collapsed_sections() == ["mask"]
-    assert again.views.chosen_colors() is ColorBy.PROVENANCE
+    assert again.views.colors is ColorBy.PROVENANCE
     assert again.views.point_size.value() == 5
 
 
@@ -78,7 +78,7 @@ def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
     damaged = {"window/geometry": "rubbish", "window/across": "eHg=", "view/point_size": "many", "view/color_by": 7}
     settings_file.write_text(json.dumps(damaged))
     window = make_window()
-    assert window.views.chosen_colors() is ColorBy.CONTACT
+    assert window.views.colors is ColorBy.CONTACT
     assert window.views.point_size.value() == 2
 
 

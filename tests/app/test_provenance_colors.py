@@ -17,7 +17,7 @@ def choose(window, qtbot, color_by):
     QTest.keyClick(box, Qt.Key.Key_Home)
     for _ in range(list(ColorBy).index(color_by)):
         QTest.keyClick(box, Qt.Key.Key_Down)
-    assert window.views.chosen_colors() is color_by
+    assert window.views.colors is color_by
     qtbot.waitUntil(lambda: window.result.rendered.color_by is color_by)
 
 
