@@ -20,7 +20,7 @@ from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import NoteLabel, ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import field_spec
-from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import SOURCE, Context
@@ -79,10 +79,7 @@ class ProposalCard(QFrame):
         self._show_values()
 
     def _show_values(self) -> None:
-        while (item := self._values.takeAt(0)) is not None:
-            widget = item.widget()
-            if widget is not None:
-                widget.deleteLater()
+        empty(self._values)
         for line, (path, value) in enumerate(self.proposal.changes.items()):
             spec = field_spec(Preset, path)
             now = self._preset.value(path)
@@ -138,9 +135,10 @@ class SuggestWindow(QDialog):
         self._connect()
 
     def _lay_out(self) -> None:
-        self._content = QWidget()
-        self._column = vbox(STRETCH, within=self._content, margins=0)
-        scroll = scrolling(self._content)
+        content = QWidget()
+        self._parts = vbox()
+        vbox(self._parts, STRETCH, within=content, margins=0)
+        scroll = scrolling(content)
         measuring = hbox((self.progress, 1), self.cancel)
         tools = hbox(self.again, STRETCH)
         row = hbox(self.compare, self.undo, STRETCH, self.apply, self.leave)
@@ -214,9 +212,9 @@ class SuggestWindow(QDialog):
             card = ProposalCard(part, self._document.preset)
             card.changed.connect(self._choice_changed)
             self.cards.append(card)
-            self._add(card)
+            self._parts.addWidget(card)
         for section, sentence in found.refusals.items():
-            self._add(_refusal(section, sentence))
+            self._parts.addWidget(_refusal(section, sentence))
         if found.parts and not any(card.changes for card in self.cards):
             self._say("The present values already follow from the evidence.")
         self.compare.setChecked(True)
@@ -247,18 +245,10 @@ class SuggestWindow(QDialog):
         self.sentence.setText(sentence)
         self.sentence.setVisible(bool(sentence))
 
-    def _add(self, widget: QWidget) -> None:
-        self._column.insertWidget(self._column.count() - 1, widget)
-
     def _clear(self) -> None:
         self.cards.clear()
         self._show_comparison()
-        while self._column.count() > 1:
-            item = self._column.takeAt(0)
-            widget = item.widget() if item is not None else None
-            if widget is not None:
-                widget.hide()
-                widget.deleteLater()
+        empty(self._parts)
 
     # Choices
 

@@ -17,7 +17,7 @@ from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
 from ...core.sources.base import part_of
 from ...core.sources.registry import open_source, opens_by_name
-from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, push_button, text_button
+from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, action_button, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..calibration.gather import OTHER_SOURCE, Gather
@@ -164,7 +164,7 @@ class SetUpPanel(QWidget):
             "Nothing is open.",
             None,
             lambda _: self._opened_source(),
-            more=[text_button(actions[name]) for name in ("open_source", "cameras")],
+            more=[action_button(actions[name], with_text=True) for name in ("open_source", "cameras")],
         )
         self.untouched = StepRow(
             "Untouched frame",
@@ -179,7 +179,7 @@ class SetUpPanel(QWidget):
             AlignmentStep(context),
             _aligned,
             two_cameras=True,
-            more=[text_button(actions["calibrate"])],
+            more=[action_button(actions["calibrate"], with_text=True)],
         )
         self.bias = StepRow(
             "Bias",
@@ -200,7 +200,7 @@ class SetUpPanel(QWidget):
         self.skip = push_button("S&kip step", "Go on without the marked step")
         self.start.setDefault(True)
         self.headline = NoteLabel(lines=4)
-        self.save = text_button(actions["save"])
+        self.save = action_button(actions["save"], with_text=True)
         self.save.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)  # an icon is dark, also on blue
         top, bottom = hbox((self.start, 1), self.skip, margins=0), hbox(STRETCH, self.save, margins=0)
         vbox(top, self.headline, *self.rows, bottom, STRETCH, within=self, margins=8, spacing=2)

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import NoteLabel, push_button, timer
-from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
@@ -59,11 +59,7 @@ class FindingsRail(QWidget):
 
     def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
         self.title.setText(f"Findings: {len(findings)}" if findings else "No findings" if examined else "Findings")
-        while (item := self._cards.takeAt(0)) is not None:
-            widget = item.widget()
-            if widget is not None:
-                widget.hide()
-                widget.deleteLater()
+        empty(self._cards)
         cards: list[QWidget] = [self._card(finding, shown) for finding, shown in findings]
         for card in cards or [NoteLabel(_NOTHING if examined else _NO_FRAME)]:
             self._cards.addWidget(card)

@@ -9,7 +9,7 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QLabel, QStackedWidget, QToolButton, QWidget
 
-from ...widgets.basics.controls import NoteLabel, push_button, text_button
+from ...widgets.basics.controls import NoteLabel, action_button, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..context import Context
@@ -44,7 +44,7 @@ class RunPanel(QWidget):
     ) -> None:
         super().__init__()
         self._live = QWidget()
-        folder = hbox(text_button(actions.recordings_folder), STRETCH)
+        folder = hbox(action_button(actions.recordings_folder, with_text=True), STRETCH)
         vbox(heading("Record"), folder, recording, 8, within=self._live, margins=0)
         self._no_live = QWidget()
         self.play_live = push_button(

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSpinBox, QWidget
 
-from ...widgets.basics.controls import action_button, named, text_button
+from ...widgets.basics.controls import action_button, named
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import hbox, vbox
 from ..worker.playback import PlaybackState
@@ -123,7 +123,7 @@ class ModeBar(QWidget):
         self.source, self.preset = _NameButton("Source"), _NameButton("Preset")
         self.source.clicked.connect(actions.open_source.trigger)
         self.preset.setMenu(preset_menu)
-        modes = [text_button(actions.by_name()[mode.value], "mode") for mode in Mode]
+        modes = [action_button(actions.by_name()[mode.value], "mode", with_text=True) for mode in Mode]
         row = hbox(*modes, 16, (search, 1), 16, self.source, self.preset, margins=(8, 4, 8, 4), spacing=4)
         vbox(row, within=self, margins=0)
         self.show_source("none")

@@ -96,28 +96,21 @@ def keep_place(widget: QWidget, keep: bool = True) -> None:
     widget.setSizePolicy(policy)
 
 
-def action_button(action: QAction) -> QToolButton:
-    """Return a flat button with the icon of an action; only the Tab key takes the focus there."""
-    button = QToolButton()
-    button.setDefaultAction(action)
-    button.setAutoRaise(True)
-    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
-    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    return button
+def action_button(action: QAction, kind: str = "", *, with_text: bool = False) -> QToolButton:
+    """Return a flat button with the icon of an action; only the Tab key takes the focus there.
 
-
-def text_button(action: QAction, kind: str = "") -> QToolButton:
-    """Return a button with icon and text of an action; a shorter text later does not make it narrower.
-
-    ``kind`` is a property of that name for the style sheet.
+    With text it is not flat, and a shorter text later does not make it narrower. ``kind`` is a property of that name
+    for the style sheet.
     """
     button = QToolButton()
     if kind:
         button.setProperty(kind, True)
     button.setDefaultAction(action)
-    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+    button.setAutoRaise(not with_text)
     button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    button.setMinimumWidth(button.sizeHint().width())
+    if with_text:
+        button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        button.setMinimumWidth(button.sizeHint().width())
     return button
 
 

@@ -70,6 +70,14 @@ def scrolling(content: QWidget, min_width: int = 0) -> QScrollArea:
     return scroll
 
 
+def empty(layout: QLayout) -> None:
+    """Take all widgets out of a layout; each ends only after the event in which one of them asked for that."""
+    while (item := layout.takeAt(0)) is not None:
+        if (widget := item.widget()) is not None:
+            widget.hide()
+            widget.deleteLater()
+
+
 def _filled(layout: _Layout, parts: tuple[Part, ...], margins: Margins | None, spacing: int | None) -> _Layout:
     if margins is not None:
         layout.setContentsMargins(*((margins,) * 4 if isinstance(margins, int) else margins))

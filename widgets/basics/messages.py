@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from enum import StrEnum
 from html import escape
 
-from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
@@ -57,8 +57,6 @@ class Message(QFrame):
     A note without buttons goes by itself, but not while the pointer or the focus is on it.
     """
 
-    closed = pyqtSignal()
-
     def __init__(
         self,
         severity: Severity,
@@ -72,7 +70,7 @@ class Message(QFrame):
         super().__init__(parent)
         _make_card(self)
         self.sentence, self.subject = sentence, subject
-        self.closed.connect(close)
+        self._close = close
         self.lasts = bool(offers) or severity is not Severity.INFO
         self.rank = 0 if severity is Severity.ERROR else 1 if self.lasts else 2
         self._goes = timer(self, NOTE_MS + CHARACTER_MS * len(sentence), self._leave, once=True)
@@ -104,7 +102,7 @@ class Message(QFrame):
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            self.closed.emit()
+            self._close()
         else:
             super().keyPressEvent(event)
 
@@ -130,7 +128,7 @@ class Message(QFrame):
         if not self.isVisible() or self.underMouse() or (focus is not None and self.isAncestorOf(focus)):
             self._goes.start()
         else:
-            self.closed.emit()
+            self._close()
 
     def showEvent(self, event: QShowEvent | None) -> None:
         super().showEvent(event)
