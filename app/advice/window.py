@@ -24,7 +24,7 @@ from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import SOURCE, Context
-from ..document.comparison import PRESENT, Side
+from ..document.comparison import Side
 from ..worker.jobs import Job, Progress
 from ..worker.results import Result, SourceInfo
 
@@ -116,7 +116,7 @@ class SuggestWindow(QDialog):
         self._section = ALL
         self._shown: Side | None = None
         self._applied = -1  # the place in the undo stack, until something else was done
-        self._job = Job(self)
+        self.job = Job(self)
         self.cards: list[ProposalCard] = []
         self.progress = ProgressBar()
         self.sentence = wrapped_label()
@@ -146,10 +146,10 @@ class SuggestWindow(QDialog):
         self.resize(500, 640)
 
     def _connect(self) -> None:
-        self._job.progress.connect(self._show_progress)
-        self._job.done.connect(self._show_found)
-        self._job.failed.connect(self._show_failure)
-        self._job.busyChanged.connect(self._show_busy)
+        self.job.progress.connect(self._show_progress)
+        self.job.done.connect(self._show_found)
+        self.job.failed.connect(self._show_failure)
+        self.job.busyChanged.connect(self._show_busy)
         self.cancel.clicked.connect(lambda: self._stop("Cancelled; nothing was changed."))
         self.again.clicked.connect(lambda: self.ask(self._section))
         self.compare.toggled.connect(self._show_comparison)
@@ -168,20 +168,16 @@ class SuggestWindow(QDialog):
             return
         preset, home = document.preset, document.untouched_home
         self._section = section
-        self._job.cancel()
+        self.job.cancel()
         self._clear()
-        self._job.start(lambda progress: find_suggestions(section, result, preset, home, progress))
+        self.job.start(lambda progress: find_suggestions(section, result, preset, home, progress))
         self._show_busy(True)
         self._show_progress(0.0, "Gathering evidence")
 
     def outdated(self, reason: str) -> None:
         """Drop suggestions that are still being made, and say why those that are shown should be made again."""
-        if self._job.busy or self.cards:
+        if self.job.busy or self.cards:
             self._stop(f"{reason}: measure again.")
-
-    @property
-    def busy(self) -> bool:
-        return self._job.busy
 
     @property
     def proposal(self) -> Proposal:
@@ -194,14 +190,14 @@ class SuggestWindow(QDialog):
         return Proposal(ALL, changes, f"Suggested {names}", "", "")
 
     def done(self, result: int) -> None:
-        self._job.cancel()
+        self.job.cancel()
         super().done(result)
         self._show_comparison()
 
     def close_down(self) -> None:
         self._document.undo_stack.indexChanged.disconnect(self._show_state)
         self.reject()
-        self._job.stop()
+        self.job.stop()
 
     # What was found
 
@@ -230,7 +226,7 @@ class SuggestWindow(QDialog):
             self._say(as_sentence(sentence))
 
     def _stop(self, sentence: str) -> None:
-        self._job.cancel()
+        self.job.cancel()
         self.cancel.setEnabled(False)
         self._say(sentence)
 
@@ -286,25 +282,22 @@ class SuggestWindow(QDialog):
     def _show_comparison(self) -> None:
         """Compare the present preset with the suggested one, where that is wanted and they differ."""
         comparison, proposal, present = self._context.comparison, self.proposal, self._document.preset
-        mine, self._shown = self._is_mine(comparison.sides), None
+        mine, self._shown = comparison.shows(self._shown), None
         if self.isVisible() and self.compare.isChecked() and proposal.changes:
             try:
                 self._shown = Side("Suggested", proposal.apply(present))
             except PresetError as error:
                 self._say(f"The suggested values do not fit together: {error}")
             else:
-                comparison.show(Side(PRESENT, present), self._shown)
+                comparison.show(comparison.present, self._shown)
         elif mine:
             comparison.end()
 
-    def _comparison_changed(self, sides: tuple[Side, Side] | None) -> None:
+    def _comparison_changed(self) -> None:
         """Note that someone else ended or replaced the comparison."""
-        if self._shown is not None and not self._is_mine(sides):
+        if self._shown is not None and not self._context.comparison.shows(self._shown):
             self._shown = None
             self.compare.setChecked(False)
-
-    def _is_mine(self, sides: tuple[Side, Side] | None) -> bool:
-        return self._shown is not None and sides is not None and sides[1] == self._shown
 
 
 def _refusal(section: str, sentence: str) -> QWidget:

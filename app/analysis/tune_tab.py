@@ -327,8 +327,7 @@ class TuneTab(AnalysisTab):
         comparison.show(comparison.present, self._previewed)
 
     def _end_preview(self) -> None:
-        sides = self._context.comparison.sides
-        if self._previewed is not None and sides is not None and sides[1] == self._previewed:
+        if self._context.comparison.shows(self._previewed):
             self._context.comparison.end()
         self._previewed = None
 

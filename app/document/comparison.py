@@ -57,7 +57,8 @@ class Comparison(QObject):
     def __init__(self, document: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._document = document
-        self._sides: Sides | None = None
+        #: The compared presets, A (left of the wipe) and B (right of it); None while nothing is compared.
+        self.sides: Sides | None = None
         document.presetChanged.connect(self._follow)
         document.baselineChanged.connect(self._follow)
 
@@ -69,29 +70,23 @@ class Comparison(QObject):
     def saved(self) -> Side:
         return Side(SAVED, self._document.baseline)
 
-    @property
-    def sides(self) -> Sides | None:
-        """The compared presets, A (left of the wipe) and B (right of it); None while nothing is compared."""
-        return self._sides
-
     def show(self, a: Side, b: Side) -> None:
         self._set((a, b))
 
     def end(self) -> None:
         self._set(None)
 
-    def up_to_date(self, side: Side) -> Side:
-        """Return a side after edits and saves of the document."""
-        if side.follows:
-            return self.present
-        return self.saved if side.name == SAVED else side
+    def shows(self, side: Side | None) -> bool:
+        """Return whether B is this side, which someone has shown beside the present preset."""
+        return self.sides is not None and self.sides[1] == side
 
     def _follow(self, _: Preset) -> None:
-        if self._sides is not None:
-            a, b = map(self.up_to_date, self._sides)
+        if self.sides is not None:
+            newest = {side.name: side for side in (self.present, self.saved)}
+            a, b = (newest.get(side.name, side) for side in self.sides)
             self._set((a, b))
 
     def _set(self, sides: Sides | None) -> None:
-        if sides != self._sides:
-            self._sides = sides
+        if sides != self.sides:
+            self.sides = sides
             self.changed.emit(sides)

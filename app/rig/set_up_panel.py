@@ -149,7 +149,7 @@ class SetUpPanel(QWidget):
         super().__init__()
         self._context = context
         self._info: SourceInfo | None = None
-        self._running = self._waiting = False
+        self.running = self._waiting = False
         self._again: set[StepRow] = set()
         self._chosen: StepRow | None = None
         self._place: int | None = None  # in a recording, where nothing touches the membrane
@@ -230,26 +230,22 @@ class SetUpPanel(QWidget):
             row.work.start.setFocus(Qt.FocusReason.ShortcutFocusReason)
         self._show()
 
-    @property
-    def running(self) -> bool:
-        return self._running
-
     def toggle(self) -> None:
         """Run the open steps, or all of them again if none is open; or stop."""
-        if self._running:
+        if self.running:
             self.stop()
             return
         self._chosen, following = None, self._next()
         if following is None:
             self._again = {row for row in self.rows if row.work is not None}
             self.press.clear()
-        self._running = True
+        self.running = True
         self._advance()
 
     def stop(self) -> None:
         if self._waiting:
             self._context.worker.cancel_open()
-        self._running = self._waiting = False
+        self.running = self._waiting = False
         self._search.cancel()
         for row in self.rows:
             if row.work is not None:
@@ -258,7 +254,7 @@ class SetUpPanel(QWidget):
 
     def close(self) -> bool:
         """Take no frames any more."""
-        self._running = False
+        self.running = False
         self._search.stop()
         for row in self.rows:
             if row.work is not None:
@@ -283,8 +279,8 @@ class SetUpPanel(QWidget):
     def _advance(self) -> None:
         """Begin the next step; without a source, open the cameras."""
         row = self._next()
-        if not self._running or row is None:
-            self._running = False
+        if not self.running or row is None:
+            self.running = False
         elif row.work is None:
             self._waiting = True  # for the first frame
             self._context.sourceRequested.emit(_CAMERAS)
@@ -311,7 +307,7 @@ class SetUpPanel(QWidget):
 
     def _found_rest(self, place: int | None) -> None:
         if place is None:
-            self._running = False
+            self.running = False
         self._place = place
         self._advance()
 
@@ -325,8 +321,8 @@ class SetUpPanel(QWidget):
         if found:
             self._again.discard(row)
             row.skipped = False
-        self._running = self._running and (found or row.skipped)
-        if self._running:
+        self.running = self.running and (found or row.skipped)
+        if self.running:
             QTimer.singleShot(0, self._advance)
         self._show()
 
@@ -334,7 +330,7 @@ class SetUpPanel(QWidget):
         """After the cameras were opened by this run: begin, or stop."""
         if self._waiting:
             self._waiting = False
-            self._running = self._running and opened
+            self.running = self.running and opened
             self._advance()
 
     def _skip(self) -> None:
@@ -343,7 +339,7 @@ class SetUpPanel(QWidget):
             self._again.discard(row)
             row.skipped = True
             row.work.stop()
-            self._running = self._next() is not None
+            self.running = self._next() is not None
             self._advance()
 
     def _opened(self, info: SourceInfo) -> None:
@@ -372,9 +368,9 @@ class SetUpPanel(QWidget):
             row.show_state(preset, self._left_out(row), row is following)
             if row.work is not None:
                 row.work.start.setEnabled(not busy and self._info is not None and not self._left_out(row))
-                row.work.cancel.setVisible(not self._running)  # Stop does the same
-        self.start.setText("Stop" if self._running else "Set &up again" if following is None else "Set &up this rig")
-        self.start.setEnabled(self._running or not busy)
+                row.work.cancel.setVisible(not self.running)  # Stop does the same
+        self.start.setText("Stop" if self.running else "Set &up again" if following is None else "Set &up this rig")
+        self.start.setEnabled(self.running or not busy)
         self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)
         self.headline.setText(self._headline(following))
         saves = following is None and self._context.document.dirty  # the next step is blue

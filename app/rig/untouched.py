@@ -79,8 +79,8 @@ class UntouchedKeeper(QObject):
         self._store.tidy()
         self._info: SourceInfo | None = None
         self._key: object = None
-        self._job = Job(self)
-        self._job.done.connect(self._use)
+        self.job = Job(self)
+        self.job.done.connect(self._use)
         self._document.presetChanged.connect(self._look)
         self._document.fileChanged.connect(self._look)
         self._document.warned.connect(
@@ -94,16 +94,12 @@ class UntouchedKeeper(QObject):
         """The preset's untouched frame; None if there is none, if it cannot be read, or while it is being read."""
         return self._recorder.untouched
 
-    @property
-    def busy(self) -> bool:
-        return self._job.busy
-
     def _source_opened(self, info: SourceInfo) -> None:
         self._info = info
         self._look()
 
     def close(self) -> None:
-        self._job.stop()
+        self.job.stop()
 
     def _look(self) -> None:
         preset, home = self._document.preset, self._document.untouched_home
@@ -111,9 +107,9 @@ class UntouchedKeeper(QObject):
         if key == self._key:
             return
         self._key = key
-        self._job.cancel()  # its result would belong to another preset or source
+        self.job.cancel()  # its result would belong to another preset or source
         if preset.untouched is not None:
-            self._job.start(partial(_read, preset.untouched, preset, home, self._info, self._store))
+            self.job.start(partial(_read, preset.untouched, preset, home, self._info, self._store))
         self._use(None)
 
     def _use(self, frame: SensorFrame | None) -> None:

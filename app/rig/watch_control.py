@@ -57,16 +57,12 @@ class WatchControl(QObject):
         self._key: object = None
         self._next_s = float("-inf")
         self._looks, self._failed = 0, False
-        self._job = Job(self)
-        self._job.done.connect(self._tell)
-        self._job.failed.connect(self._fail)
+        self.job = Job(self)
+        self.job.done.connect(self._tell)
+        self.job.failed.connect(self._fail)
         context.frameShown.connect(self._look)
         context.worker.opened.connect(self._forget)
         action.toggled.connect(self._forget)
-
-    @property
-    def busy(self) -> bool:
-        return self._job.busy
 
     def open(self) -> None:
         """Check the frame on the screen in a window of its own."""
@@ -81,7 +77,7 @@ class WatchControl(QObject):
         self._check()
 
     def close(self) -> None:
-        self._job.stop()
+        self.job.stop()
         if self.window is not None:
             self.window.close()
 
@@ -93,7 +89,7 @@ class WatchControl(QObject):
 
     def _forget(self) -> None:
         self._key = self.first = None
-        self._job.stop()
+        self.job.stop()
         self._context.worker.set_cameras_moved(False)
         self._context.messages.clear(_KEY)
 
@@ -102,7 +98,7 @@ class WatchControl(QObject):
         result, untouched = self._context.result, self._keeper.frame
         if result is None or result.patch is None or untouched is None or not self._action.isChecked():
             return  # without a patch, nothing tells what is touched
-        if self._keeper.busy or self._job.busy:
+        if self._keeper.job.busy or self.job.busy:
             return
         preset, rig, live = self._context.document.preset, result.source.rig, result.source.length is None
         # The other fields only decide what counts as touched; changing them must not forget earlier looks.
@@ -126,7 +122,7 @@ class WatchControl(QObject):
                 return report, None
             return report, RigCheck(drift_or_reason(preset, rig, frame), membrane)
 
-        self._job.start(look)
+        self.job.start(look)
 
     def _tell(self, found: tuple[WatchReport | None, RigCheck | None]) -> None:
         report, first = found

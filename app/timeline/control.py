@@ -44,7 +44,8 @@ class Timeline(QObject):
         self._context, self._strip = context, strip
         self.job = SeriesJob(self)
         self._info: SourceInfo | None = None
-        self._series: Series | None = None
+        #: The series of the open recording with the present preset, as far as it is computed.
+        self.series: Series | None = None
         self._series_of = ""
         self._live: deque[tuple[float, FrameValues]] = deque()
         self._rest = timer(self, _REST_MS, self._compute, once=True)
@@ -60,11 +61,6 @@ class Timeline(QObject):
         context.document.presetChanged.connect(self._preset_changed)
         self.job.found.connect(self._found)
         self.job.ended.connect(strip.set_words)
-
-    @property
-    def series(self) -> Series | None:
-        """The series of the open recording with the present preset, as far as it is computed."""
-        return self._series
 
     def close(self) -> None:
         self.job.stop()
@@ -102,7 +98,7 @@ class Timeline(QObject):
             self._strip.set_series(np.zeros(1), {}, np.zeros(1, np.bool_))
         self.job.stop()  # the file may have been replaced by another of the same name
         self._live.clear()
-        self._series = None
+        self.series = None
         self.availableChanged.emit(self._several(info))
         self._strip.set_words("")
         self._preset_changed(self._context.document.preset)
@@ -119,15 +115,15 @@ class Timeline(QObject):
         if info is None or info.length is None or not self._several(info):
             return
         depends_on = preset.model_dump_json(exclude=_WITHOUT_EFFECT)
-        if self._series is None or depends_on != self._series_of:
-            self._series, self._series_of = Series(info.length, info.frame_rate_hz), depends_on
+        if self.series is None or depends_on != self._series_of:
+            self.series, self._series_of = Series(info.length, info.frame_rate_hz), depends_on
             self.job.rest()
             self._show_series()
-        if not self._series.complete:
+        if not self.series.complete:
             self._rest.start()
 
     def _compute(self) -> None:
-        if self._info is None or self._series is None or self._series.complete:
+        if self._info is None or self.series is None or self.series.complete:
             return
         if not opens_by_name(self._info.name):
             self._strip.set_words("This source cannot be opened a second time, so nothing is computed.")
@@ -138,18 +134,18 @@ class Timeline(QObject):
             return
         self._strip.set_words("Computing…")
         document = self._context.document
-        self.job.start(self._info.name, len(self._series), document.preset, document.untouched_home)
+        self.job.start(self._info.name, len(self.series), document.preset, document.untouched_home)
 
     def _found(self, values: list[FrameValues]) -> None:
-        if self._series is None:
+        if self.series is None:
             return
         for each in values:
-            self._series.put(each)
-        self._strip.set_words(f"Computing {100 * self._series.computed.mean():.0f} %")
+            self.series.put(each)
+        self._strip.set_words(f"Computing {100 * self.series.computed.mean():.0f} %")
         self._show_series()
 
     def _show_series(self) -> None:
-        if (series := self._series) is not None:
+        if (series := self.series) is not None:
             self._strip.set_series(series.seconds(), series.values, series.computed)
 
     def _frame_shown(self) -> None:

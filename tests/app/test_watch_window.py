@@ -66,11 +66,11 @@ def moving(window, qtbot):
 def look(qtbot, window, cameras, count):
     """Show one frame after the other; each is due for a look, and the look has ended."""
     for _ in range(count):
-        qtbot.waitUntil(lambda: not window.watch.busy, timeout=60_000)  # a frame that comes during a look is not due
+        qtbot.waitUntil(lambda: not window.watch.job.busy, timeout=60_000)  # a frame during a look is not due
         newest = len(cameras.given)
         cameras.give(qtbot, 1)
         qtbot.waitUntil(lambda newest=newest: window.result.frame.sequence == newest, timeout=20_000)
-    qtbot.waitUntil(lambda: not window.watch.busy, timeout=60_000)
+    qtbot.waitUntil(lambda: not window.watch.job.busy, timeout=60_000)
 
 
 def test_a_moved_camera_is_told_and_its_buttons_mend_and_show_it(window, moving, qtbot):

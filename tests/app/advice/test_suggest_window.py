@@ -17,7 +17,7 @@ def ask(qtbot, main, section="mask"):
     main.panel.ensureWidgetVisible(button)
     QTest.mouseClick(button, LEFT)
     qtbot.waitUntil(lambda: main.suggest.window is not None and main.suggest.window.isActiveWindow())
-    qtbot.waitUntil(lambda: not main.suggest.window.busy)
+    qtbot.waitUntil(lambda: not main.suggest.window.job.busy)
     return main.suggest.window
 
 
@@ -53,7 +53,7 @@ def test_a_suggested_mask_is_compared_applied_as_one_step_and_undone(main, qtbot
 
 def test_suggest_all_by_keys_takes_only_what_is_ticked(main, qtbot):
     QTest.keyClick(main, Qt.Key.Key_J, CONTROL)
-    qtbot.waitUntil(lambda: main.suggest.window is not None and not main.suggest.window.busy)
+    qtbot.waitUntil(lambda: main.suggest.window is not None and not main.suggest.window.job.busy)
     window = main.suggest.window
     qtbot.waitUntil(lambda: len(window.cards) > 0)
     window.activateWindow()
@@ -99,7 +99,7 @@ def test_suggestions_of_a_source_that_was_left_while_they_were_made_are_dropped(
     show_source(qtbot, main, PrintedSource(), 6)
     go_on.set()
     window = main.suggest.window
-    qtbot.waitUntil(lambda: not window.busy)
+    qtbot.waitUntil(lambda: not window.job.busy)
     assert window.sentence.text() == "Another source was opened: measure again." and not window.cards
 
 
@@ -114,8 +114,8 @@ def test_measuring_can_be_cancelled(main, qtbot, monkeypatch):
     window = main.suggest.window
     qtbot.waitUntil(lambda: window.sentence.text() == "Measuring…")
     QTest.mouseClick(window.cancel, LEFT)
-    qtbot.waitUntil(lambda: not window.busy)
+    qtbot.waitUntil(lambda: not window.job.busy)
     assert window.sentence.text() == "Cancelled; nothing was changed."
     monkeypatch.undo()
     QTest.mouseClick(window.again, LEFT)
-    qtbot.waitUntil(lambda: not window.busy and len(window.cards) == 1)
+    qtbot.waitUntil(lambda: not window.job.busy and len(window.cards) == 1)
