@@ -133,7 +133,7 @@ class Session(History[SessionState]):
         self.selected: tuple[str, ...] = ()  # ids of pairs
 
     def pair(self, name: str) -> PointPair:
-        return next(pair for pair in self._state.pairs if pair.id == name)
+        return next(pair for pair in self.state.pairs if pair.id == name)
 
     def show(self, state: SessionState) -> None:
         """Change the state without a step, and deselect pairs that no longer exist."""
@@ -148,23 +148,23 @@ class Session(History[SessionState]):
             self.selectionChanged.emit(names)
 
     def choose(self, text: str, gesture: int = 0, **values: Any) -> None:
-        self.edit(text, self._state.with_choices(**values), gesture, tuple(values))
+        self.edit(text, self.state.with_choices(**values), gesture, tuple(values))
 
     def set_display(self, **values: Any) -> None:
-        after = self._state.with_choices(**values)
-        if after != self._state:
+        after = self.state.with_choices(**values)
+        if after != self.state:
             self.show(after)
 
     def add_snapshot(self, snapshot: Snapshot) -> None:
         """Add a snapshot and click in it from now on."""
-        if snapshot.digest in self._state.digests:
+        if snapshot.digest in self.state.digests:
             self.set_display(snapshot=snapshot.digest)
             return
-        added = replace(self._state, snapshots=(*self._state.snapshots, snapshot))
+        added = replace(self.state, snapshots=(*self.state.snapshots, snapshot))
         self.edit("Add a snapshot", added.with_choices(snapshot=snapshot.digest))
 
     def remove_snapshot(self, digest: str) -> None:
-        before = self._state
+        before = self.state
         kept = tuple(snap for snap in before.snapshots if snap.digest != digest)
         pairs = [pair for pair in before.pairs if pair.snapshot != before.digests.index(digest)]
         after = replace(before, snapshots=kept)
@@ -175,47 +175,47 @@ class Session(History[SessionState]):
 
     def click(self, side: Side, u: float, v: float) -> None:
         """Process a click: it starts a pair, moves its first click, or completes the pair."""
-        pending, present = self._state.pending, self._state.number
+        pending, present = self.state.pending, self.state.number
         if pending is None or pending.snapshot != present:
-            name = str(self._state.next_id()) if pending is None else pending.id
+            name = str(self.state.next_id()) if pending is None else pending.id
             pair, text = PointPair(id=name, snapshot=present, origin="clicked"), f"Click point {name}"
         elif pending.place(side) is None:
             pair, text = pending, f"Complete pair {pending.id}"
         else:
             pair, text = pending, f"Click point {pending.id} elsewhere"
-        self.edit(text, self._state.with_pair(self._placed(pair, side, u, v)))
+        self.edit(text, self.state.with_pair(self._placed(pair, side, u, v)))
         self.select([pair.id])
 
     def move(self, name: str, side: Side, u: float, v: float, gesture: int = 0) -> None:
         """Move one side of a pair, keeping the image that it was clicked in."""
         moved = self._placed(self.pair(name), side, u, v, keep_image=True)
-        self.edit(f"Move point {name}", self._state.with_pair(moved), gesture)
+        self.edit(f"Move point {name}", self.state.with_pair(moved), gesture)
 
     def cancel_pending(self) -> None:
-        if self._state.pending is not None:
-            self.remove([self._state.pending.id])
+        if self.state.pending is not None:
+            self.remove([self.state.pending.id])
 
     def remove(self, names: Iterable[str]) -> None:
         gone = set(names)
-        kept = tuple(pair for pair in self._state.pairs if pair.id not in gone)
-        self.edit(f"Delete {counted(len(self._state.pairs) - len(kept), 'pair')}", replace(self._state, pairs=kept))
+        kept = tuple(pair for pair in self.state.pairs if pair.id not in gone)
+        self.edit(f"Delete {counted(len(self.state.pairs) - len(kept), 'pair')}", replace(self.state, pairs=kept))
 
     def enable(self, name: str, enabled: bool) -> None:
         switched = self.pair(name).model_copy(update={"enabled": enabled})
-        self.edit(f"Switch pair {name} {'on' if enabled else 'off'}", self._state.with_pair(switched))
+        self.edit(f"Switch pair {name} {'on' if enabled else 'off'}", self.state.with_pair(switched))
 
     def add_pairs(self, pairs: Iterable[PointPair], text: str) -> None:
         """Add complete pairs under new numbers, as one step."""
-        first = self._state.next_id()
+        first = self.state.next_id()
         added = tuple(pair.model_copy(update={"id": str(first + number)}) for number, pair in enumerate(pairs))
-        self.edit(text, replace(self._state, pairs=(*self._state.pairs, *added)))
+        self.edit(text, replace(self.state, pairs=(*self.state.pairs, *added)))
         self.select([pair.id for pair in added])
 
     def _placed(self, pair: PointPair, side: Side, u: float, v: float, keep_image: bool = False) -> PointPair:
         values: dict[str, Any] = {f"{side}_u": float(u), f"{side}_v": float(v)}
         if side == "proximity" and not keep_image:
-            values["proximity_image"] = self._state.choices.image
+            values["proximity_image"] = self.state.choices.image
         if side == "tactile":
-            snapshot = self._state.snapshot_of(pair)
+            snapshot = self.state.snapshot_of(pair)
             values["tactile_depth_m"] = None if snapshot is None else tactile_depth(snapshot.frame, self.rig, u, v)
         return pair.model_copy(update=values)

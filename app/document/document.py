@@ -62,25 +62,21 @@ class History(QObject, Generic[T]):
     def __init__(self, state: T, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self.undo_stack = QUndoStack(self)
-        self._state = state
-
-    @property
-    def state(self) -> T:
-        return self._state
+        self.state = state
 
     def edit(self, text: str, after: T, gesture: int = 0, target: Hashable = None) -> None:
         """Change the state as one undoable step; see `StateStep` for the parameters. An equal state is no step."""
-        if after != self._state:
-            self.undo_stack.push(StateStep(text, self.show, self._state, after, gesture, target))
+        if after != self.state:
+            self.undo_stack.push(StateStep(text, self.show, self.state, after, gesture, target))
 
     def show(self, state: T) -> None:
         """Change the state without a step: for undo, and to restore saved work."""
-        self._state = state
+        self.state = state
         self.changed.emit(state)
 
     def start(self, state: T) -> None:
         """Begin again with this state and an empty undo stack."""
-        self._state = state
+        self.state = state
         self.undo_stack.clear()
         self.undo_stack.setClean()
         self.changed.emit(state)
