@@ -14,7 +14,7 @@ def badges(window):
     return {str(name): view.badge.text() for name, view in window.views.views.items()}
 
 
-def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window, cameras, qtbot):
+def test_the_view_of_a_missing_camera_says_what_to_do_the_others_wait_and_all_marks_go(window, cameras, qtbot):
     cameras.faults["tactile"] = "missing"
     qtbot.waitUntil(lambda: badges(window)["tactile"] != "")
     said = badges(window)
@@ -26,11 +26,6 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     assert window.views.views[CloudName.TACTILE].point_count() > 0
     assert window.views.views[CloudName.TACTILE].badge.accessibleName() == said["tactile"]
     assert window.status.state.text() == "No frames"
-
-
-def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
-    cameras.faults["tactile"] = "missing"
-    qtbot.waitUntil(lambda: badges(window)["patch"] != "")
     cameras.faults.clear()
     cameras.release()
     qtbot.waitUntil(lambda: set(badges(window).values()) == {""})

@@ -147,24 +147,6 @@ def test_a_small_delay_is_made_up_and_a_long_one_is_not_chased():
     assert playback.wait_s(105.0) == pytest.approx(0.1)
 
 
-def test_loops_or_stops_at_the_end():
-    playback = started(length=2)
-    playback.shown(1, now_s=0.0)
-    assert playback.next_index() == 0
-    playback.loop = False
-    assert playback.next_index() is None
-    assert not playback.playing
-
-
-def test_playing_at_the_end_starts_over():
-    playback = started(length=2)
-    playback.loop = False
-    playback.shown(1, now_s=0.0)
-    playback.pause()
-    playback.play()
-    assert playback.next_index() == 0
-
-
 def test_steps_wrap_only_when_looping():
     playback = started(length=3)
     playback.shown(0, now_s=0.0)
@@ -174,13 +156,8 @@ def test_steps_wrap_only_when_looping():
     assert playback.step_index(1) == 1
 
 
-def test_a_held_recording_waits():
-    recording = started()
+def test_a_held_recording_waits_and_a_live_source_is_never_due_since_it_paces_itself():
+    recording, live = started(), started(length=None)
     recording.held = True
-    assert recording.wait_s(1e9) is None
-
-
-def test_a_live_source_is_never_due_since_it_paces_itself():
-    live = started(length=None)
-    assert live.wait_s(1e9) is None
+    assert recording.wait_s(1e9) is live.wait_s(1e9) is None
     assert live.state.playing
