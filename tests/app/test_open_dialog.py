@@ -42,15 +42,7 @@ def shows(window, name):
 # Opening
 
 
-def test_enter_opens_and_the_dialog_closes(window, qtbot, recording):
-    dialog = open_dialog(window, qtbot)
-    type_name(dialog, f"folder:{recording}")
-    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: shows(window, f"folder:{recording}"))
-    assert window.sources.dialog is None
-
-
-def test_an_error_is_said_in_the_dialog_and_can_be_corrected(window, qtbot, recording):
+def test_an_error_is_said_in_the_dialog_is_corrected_and_enter_opens(window, qtbot, recording):
     dialog = open_dialog(window, qtbot)
     type_name(dialog, f"folder:{recording}x")
     QTest.mouseClick(dialog.buttons.button(QDialogButtonBox.StandardButton.Open), LEFT)
@@ -60,6 +52,7 @@ def test_an_error_is_said_in_the_dialog_and_can_be_corrected(window, qtbot, reco
     QTest.keyClick(dialog.name, Qt.Key.Key_Backspace)
     QTest.keyClick(dialog.name, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: shows(window, f"folder:{recording}"))
+    assert window.sources.dialog is None
 
 
 # Recent sources

@@ -27,3 +27,9 @@ def reference_patch(preset: Preset, rig: Rig, frame: SensorFrame, dtype: Any = n
     provenance = np.empty(frame.proximity_depth.shape, np.uint8)
     points, pixels = Reference(preset, rig, dtype).find(frame, provenance.reshape(-1))
     return ReferencePatch(points, pixels, provenance)
+
+
+def same_patch(one: Any, other: Any) -> bool:
+    """Return whether two patches have the same verdict on each pixel, and points of the same bits."""
+    verdicts = np.array_equal(one.provenance, other.provenance)
+    return verdicts and np.array_equal(one.points.view(np.uint32), other.points.view(np.uint32))

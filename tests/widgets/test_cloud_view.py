@@ -126,9 +126,6 @@ def test_the_nearer_point_wins(view, nearer_first, behind):
     assert len(pixels_of(image, covered)) == 0
 
 
-# Words around it
-
-
 # What is not drawn
 
 
@@ -163,12 +160,17 @@ def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot
     assert (running == picture(view)).all(), "every other row and column, and no holes from single pixels without depth"
 
 
-def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot, monkeypatch):
-    drawn = []
-    render = SoftwareRenderer.render
+@pytest.fixture
+def drawn(monkeypatch):
+    """The size of each picture that is drawn from now on."""
+    sizes, render = [], SoftwareRenderer.render
     monkeypatch.setattr(
-        SoftwareRenderer, "render", lambda self, cloud, look: (drawn.append(cloud), render(self, cloud, look))[1]
+        SoftwareRenderer, "render", lambda self, cloud, look: (sizes.append(look.size), render(self, cloud, look))[1]
     )
+    return sizes
+
+
+def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot, drawn):
     view = shown_view(qtbot, "V")
     cloud = red_wall()
     view.set_cloud(cloud)
@@ -188,12 +190,7 @@ def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot, monkeypatch):
     assert len(drawn) == 1
 
 
-def test_a_large_view_is_drawn_at_half_its_resolution(qtbot, monkeypatch):
-    sizes = []
-    render = SoftwareRenderer.render
-    monkeypatch.setattr(
-        SoftwareRenderer, "render", lambda self, cloud, look: (sizes.append(look.size), render(self, cloud, look))[1]
-    )
+def test_a_large_view_is_drawn_at_half_its_resolution(qtbot, drawn, monkeypatch):
     monkeypatch.setattr(CloudCanvas, "devicePixelRatioF", lambda canvas: 2.0)
     view = shown_view(qtbot, "V")
     view.set_cloud(red_wall())
@@ -201,4 +198,4 @@ def test_a_large_view_is_drawn_at_half_its_resolution(qtbot, monkeypatch):
         view.resize(width, height)
         picture(view)
         canvas = canvas_of(view)
-        assert sizes[-1] == (ratio * canvas.width(), ratio * canvas.height())
+        assert drawn[-1] == (ratio * canvas.width(), ratio * canvas.height())

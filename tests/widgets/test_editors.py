@@ -108,19 +108,10 @@ def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot):
     assert widget.value() == 0.2
 
 
-LEFT = Qt.MouseButton.LeftButton
-
-
 def make_band(qtbot, *, wraps, low=0, high=179, gap=0.0):
     slider = Slider(Scale(0, 179, step=1), 2, wraps=wraps, gap=gap)
     slider.set_values(low, high)
     return shown(qtbot, slider, 372, 24)  # two pixels a step
-
-
-def record_bands(slider):
-    edits = []
-    slider.edited.connect(lambda band, gesture: edits.append((*band, gesture)))
-    return edits
 
 
 def place_of(slider, value):
@@ -161,17 +152,17 @@ def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value)
 
 def test_the_keyboard_reaches_both_handles(qtbot):
     slider = make_band(qtbot, wraps=False, low=50, high=100)
-    edits = record_bands(slider)
+    edits = record(slider)
     slider.setFocus(Qt.FocusReason.TabFocusReason)
     QTest.keyClick(slider, Qt.Key.Key_Right)
     QTest.keyClick(slider, Qt.Key.Key_PageDown)
     assert slider.values() == (34, 100)
-    assert edits[0][2] == edits[1][2]
+    assert edits[0][1] == edits[1][1]
     QTest.keyClick(slider, Qt.Key.Key_Tab)
     QTest.keyClick(slider, Qt.Key.Key_Up)
     QTest.keyClick(slider, Qt.Key.Key_PageUp)
     assert slider.values() == (34, 118)
-    assert edits[2][2] != edits[1][2]
+    assert edits[2][1] != edits[1][1]
     QTest.keyClick(slider, Qt.Key.Key_End)
     assert slider.values() == (34, 179)
     QTest.keyClick(slider, Qt.Key.Key_Tab, Qt.KeyboardModifier.ShiftModifier)

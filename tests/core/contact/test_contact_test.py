@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from reference_patches import same_patch
 from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.masking import in_hsv_range
@@ -58,14 +59,6 @@ def scene():
 
 def masked(preset):
     return preset.with_values({"mask.enabled": True, "mask.saturation": (100, 255), "mask.value": (100, 255)})
-
-
-def same_patch(one, other):
-    return (
-        np.array_equal(one.provenance, other.provenance)
-        and np.array_equal(one.mask, other.mask)
-        and np.array_equal(one.points.view(np.uint32), other.points.view(np.uint32))
-    )  # fmt: skip
 
 
 def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reference_patches import reference_patch
+from reference_patches import reference_patch, same_patch
 from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.tolerance import ToleranceTest
@@ -38,13 +38,6 @@ settings_of_all_kinds = st.fixed_dictionaries(
         "region.rectangle": st.tuples(st.integers(0, 60), st.integers(0, 50), st.integers(1, 99), st.integers(1, 99)),
     }
 )
-
-
-def same_patch(one, other):
-    return (
-        np.array_equal(one.provenance, other.provenance)
-        and np.array_equal(one.points.view(np.uint32), other.points.view(np.uint32))
-    )  # fmt: skip
 
 
 @settings(max_examples=150, deadline=None)
