@@ -63,6 +63,8 @@ class OpenDialog(QDialog):
         with QSignalBlocker(self.tabs):
             self.tabs.setCurrentIndex(index)
         self._page_chosen()
+        self.name.setFocus()  # what is typed now is a name, in place of the chosen one
+        self.name.selectAll()
 
     def show_progress(self, share: float, words: str) -> None:
         self.progress.show_share(share, words or "Opening…")

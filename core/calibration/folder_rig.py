@@ -32,8 +32,8 @@ _PLAUSIBLE_M: Final = (0.06, 5.0)
 _UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 #: Files beside the images that state their lens, the first that exists.
 _LENS_FILES: Final = (
-    *("scene_camera.json", "camera_info.y*ml", "camera.json", "*intrinsic*.*", "K.txt", "*camchain*.y*ml"),
-    *("*calib*.y*ml", "*calib*.json", "*calib*.xml", "ost.yaml"),
+    *("scene_camera.json", "camera_info.y*ml", "camera.json", "*intrinsic*.json", "K.txt", "*intrinsic*.txt"),
+    *("*intrinsic*.y*ml", "*camchain*.y*ml", "*calib*.y*ml", "*calib*.json", "*calib*.xml", "ost.yaml"),
 )
 #: Files that count as pictures.
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp")

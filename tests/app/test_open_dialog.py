@@ -44,7 +44,8 @@ def shows(window, name):
 
 def test_an_error_is_said_in_the_dialog_is_corrected_and_enter_opens(window, qtbot, recording):
     dialog = open_dialog(window, qtbot)
-    type_name(dialog, f"folder:{recording}x")
+    qtbot.waitUntil(dialog.name.hasFocus)
+    QTest.keyClicks(dialog.name, f"folder:{recording}x")
     QTest.mouseClick(dialog.buttons.button(QDialogButtonBox.StandardButton.Open), LEFT)
     qtbot.waitUntil(lambda: "there is no folder" in dialog.note.text())
     assert window.messages.sentences() == []
