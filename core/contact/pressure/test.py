@@ -306,7 +306,8 @@ class _Now:
             weight = np.clip(1 - (away - _MARGIN) / _RAMP, 0.0, 1.0)
             at_rim = bool(((weight > 0) & ~inner).any())
             weight *= inner  # at the rim the clamp's pull ends the balance
-            free = (away > _MARGIN) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
+            # where no window of the curvature reaches the contact, which is flat
+            free = (away > _MARGIN + rest.window) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
             bulge = median(self.bulge_per_m[free])
             bulge = bulge if bulge > 0 else math.nan  # where it is flat, nothing tells its tension
             air, pull, pressed = surface.balance(rest.grid.points(depth_m), weight, np.nan_to_num(self.relative))
