@@ -110,7 +110,7 @@ def read_depth(path: Path, camera: DepthCamera, value_m: float = 1.0, lens: Lens
             if not known.any() and (far := image[np.isfinite(counts) & (counts > 0)]).size:
                 raise SourceError(
                     f"{path} has depths of {far.min() * value_m:g} m and more, beyond the camera's range; if they are "
-                    "in mm, write rig.json anew with tactune preset create-rig --unit mm"
+                    "millimetres, remove rig.json and run tactune preset create-rig with --unit mm"
                 )
         image = np.rint(np.where(known, counts, 0)).astype(np.uint16)
     return np.asarray(image if lens is None else lens.rectify(image), np.uint16)

@@ -105,7 +105,7 @@ class McapSource(RecordedSource):
         try:
             return None if data is None else frame_from_bytes(data)
         except FrameError as error:
-            raise SourceError(f"{self._path}: its untouched frame is damaged ({error}); record it again") from error
+            raise SourceError(f"{self._path}: its untouched frame is damaged ({error}); capture it again") from error
 
     @property
     def has_poses(self) -> bool:

@@ -347,9 +347,11 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
     import cv2
 
     some, some_sigma = ratio[::2, ::2], sigma[::2, ::2]  # windows of neighbours overlap, so every second cell tells all
-    known = np.isfinite(some) & np.isfinite(some_sigma)
+    known, nothing = np.isfinite(some) & np.isfinite(some_sigma), np.full_like(ratio, np.nan)
+    if not known.any():
+        return 1.0, nothing, 1.0
     free, grown, scatter = known, 1.0, 1.0
-    for _ in range(4 if known.any() else 0):
+    for _ in range(4):
         grown = median(some[free])
         with np.errstate(invalid="ignore", divide="ignore"):
             away = (some - grown) / some_sigma
@@ -362,7 +364,7 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
             break
         free = left
     # without inflation nothing tells a contact pressure
-    return grown, 1 - ratio / grown if grown > 0 and known.any() else np.full_like(ratio, np.nan), scatter
+    return grown, 1 - ratio / grown if grown > 0 else nothing, scatter
 
 
 def _parts_with(cells: BoolArray, seeds: BoolArray) -> BoolArray:

@@ -247,7 +247,8 @@ class RosSource(RecordedSource):
         pose = self._poses.pose(color.frame, depth.frame)
         if pose is None:
             raise _GapError(
-                f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}: record /tf_static"
+                f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}; a colour that is "
+                "aligned to the depth needs none"
             )
         if not color.info and color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
             return lens, pose  # aligned to the depth

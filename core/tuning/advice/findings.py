@@ -92,7 +92,7 @@ def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Fi
 
 
 def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
-    """Find that a camera measures hardly any depth, or that tactile depth is implausible; without any patch."""
+    """Report a camera that measures hardly any depth, or implausible tactile depth. No patch is needed."""
     remedies = {
         "proximity": "raise its laser power or gain, and check that nothing covers its window",
         "tactile": "light the membrane evenly, and check that it has texture and that the lens is clean",

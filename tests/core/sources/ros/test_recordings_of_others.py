@@ -305,6 +305,18 @@ def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_dep
         assert (frame.proximity_color == 90).all()
 
 
+def test_only_images_half_a_period_apart_by_their_own_stamps_are_a_frame(tmp_path):
+    late = depth(TOUCH, "b_optical", 390, stamps_s=(0.0, 0.1, 0.26, 0.36), late_s=0.5)
+    near = depth(NEAR, "a_optical", stamps_s=(0.0, 0.1, 0.2, 0.3))
+    with open_source(str(make_recording(tmp_path / "take", [near, late]))) as source:
+        pairs = [(int(f.proximity_depth[0, 0]), int(f.tactile_depth[0, 0])) for f in source]
+        assert pairs == [(400, 390), (401, 391), (403, 392)]
+        assert source.health().unmatched == 2
+    stopped = depth(TOUCH, "b_optical", 390, stamps_s=(0.0, 0.1))
+    with open_source(str(make_recording(tmp_path / "stopped", [near, stopped]))) as source:
+        assert source.length == 2 and source.health().unmatched == 2
+
+
 def rvl(image):
     """Compress as the paper's own program does, one pixel after another."""
     parts = []
