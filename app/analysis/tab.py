@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
-from ...core.errors import as_sentence, counted
+from ...core.errors import as_sentence
 from ...core.model.files import write_csv
 from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.layouts import hbox, vbox
@@ -75,14 +75,12 @@ class LiveTab(AnalysisTab):
         self._writing.done.connect(lambda sentence: self.messages.show_message("done", Severity.INFO, sentence))
         self._writing.failed.connect(partial(self._complain, "export"))
         self.status, self.messages, self.working = ElidedLabel(WAITING), Messages(self), JobRow(self.job)
-        self.reset = push_button("&Reset", "Remove the rows of all frames; they can be brought back")
         self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E); frames count from 0")
         self.export.setShortcut("Ctrl+E")
-        self.reset.clicked.connect(self._reset)
         self.export.clicked.connect(self._ask_where)
         self.top = QHBoxLayout()
         self.column = QVBoxLayout()
-        state = hbox((self.status, 1), self.working, self.reset, self.export)
+        state = hbox((self.status, 1), self.working, self.export)
         vbox(self.top, state, (self.column, 1), within=self, margins=0)
         self._offer()
 
@@ -97,10 +95,10 @@ class LiveTab(AnalysisTab):
         raise NotImplementedError
 
     def begin(self, result: Result) -> None:
-        """Forget the former source; `rows` are empty."""
+        """Forget the former source."""
 
     def rows_changed(self) -> None:
-        """Show `rows`, after they were removed or brought back."""
+        """Show `rows`."""
 
     # Frames
 
@@ -108,11 +106,8 @@ class LiveTab(AnalysisTab):
         former, self.result = self.result, result
         if former is None or result.source is not former.source:
             self.job.cancel()
-            self.messages.clear("reset")  # its rows belong to the former source
-            self.rows = {}
             self.begin(result)
-            self.rows_changed()
-            self._offer()
+            self.forget()
         self.again()
 
     def again(self, *_: object) -> None:
@@ -140,22 +135,14 @@ class LiveTab(AnalysisTab):
 
     # Rows
 
-    def _offer(self) -> None:
-        for button in (self.reset, self.export):
-            button.setEnabled(bool(self.rows))
-
-    def _reset(self) -> None:
-        rows, self.rows = self.rows, {}
+    def forget(self) -> None:
+        """Remove all rows."""
+        self.rows = {}
         self.rows_changed()
         self._offer()
 
-        def bring_back() -> None:
-            self.rows = rows | self.rows
-            self.rows_changed()
-            self._offer()
-
-        sentence = f"The curve of {counted(len(rows), 'frame')} was removed."
-        self.messages.show_message("reset", Severity.INFO, sentence, [("Bring it back", bring_back)])
+    def _offer(self) -> None:
+        self.export.setEnabled(bool(self.rows))
 
     def _ask_where(self) -> None:
         dialogs = self.context.dialogs.over(self.window() or self)

@@ -194,8 +194,7 @@ class TrackTab(LiveTab):
     def _opened(self, model: Model) -> None:
         self.job.cancel()  # it may search for the former object
         self.track_button.setChecked(False)
-        if self.rows:
-            self._reset()
+        self.forget()
         self.model = model
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
         self._show()

@@ -7,7 +7,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from hands import press, show_source
+from hands import show_source
 from small_recordings import small_rig
 from tactune.core.sources.registry import open_source
 
@@ -49,15 +49,10 @@ def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, win
     assert tab.cloud.notice.text() == tab.status.text() == window.result.problem != ""
 
 
-def test_rows_are_exported_removed_and_brought_back(qtbot, window, tmp_path):
+def test_rows_are_exported(qtbot, window, tmp_path):
     tab = opened(qtbot, window)
     first = tab.shown[1]
     go_to(qtbot, window, tab, 4)
-    before = dict(tab.rows)
-    QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
-    assert not tab.rows and not tab.export.isEnabled()
-    press(tab.messages.by_key.get("reset"), "Bring it back")
-    assert tab.rows == before
     tab.save_to(tmp_path / "tilt.csv")
     qtbot.waitUntil(lambda: tab.messages.by_key.get("done") is not None)
     with (tmp_path / "tilt.csv").open(newline="") as file:
