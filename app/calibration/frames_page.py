@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from PyQt6.QtCore import QSignalBlocker, QSize, Qt
-from PyQt6.QtGui import QIcon, QImage, QPixmap
-from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, QSlider, QWidget
+from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QWidget
 
 from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
@@ -18,7 +17,6 @@ from .session import ImageChoice, Session, SessionState, Snapshot
 from .snapshots import SnapshotStep
 
 _PREVIEW_MS = 80
-_THUMBNAIL = QSize(96, 72)
 
 _PREVIEWS: tuple[tuple[Side, ImageChoice, str], ...] = (
     ("proximity", "color", "Proximity camera, colour"),
@@ -45,12 +43,10 @@ class FramesPage(QWidget):
         self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
         self._listed: tuple[str, ...] = ()
         self._redraw = timer(self, _PREVIEW_MS, self._show_frame, once=True)
-        self.seek = named(QSlider(Qt.Orientation.Horizontal), "Frame of the recording")
         self.note.setText(_ADVICE)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.list = named(QListWidget(), "Snapshots", "The snapshots taken; points are clicked in the selected one")
-        self.list.setIconSize(_THUMBNAIL)
         self.list.setSpacing(4)
         self.remove = push_button("Re&move", "Remove the snapshot and the points clicked in it; undo restores both")
         self._lay_out()
@@ -69,7 +65,7 @@ class FramesPage(QWidget):
         hbox((self.step.progress, 1), self.step.cancel, within=self.running, margins=0)
         keep_place(self.running)
         self.running.hide()
-        left = vbox((images, 1), self.seek, self.note, self.running)
+        left = vbox((images, 1), self.note, self.running)
         self.taken = QWidget()
         vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=self.taken, margins=0)
         self.taken.setFixedWidth(300)
@@ -78,7 +74,6 @@ class FramesPage(QWidget):
     def _connect(self) -> None:
         session, step = self._session, self.step
         self._context.frameShown.connect(self._frame_shown)
-        self.seek.valueChanged.connect(self._context.worker.seek)
         step.start.clicked.connect(lambda: self.running.setVisible(step.busy))
         step.ended.connect(self._ended)
         session.changed.connect(self._show_state)
@@ -95,12 +90,7 @@ class FramesPage(QWidget):
         result, rig = self._context.result, self._session.rig
         if result is None or result.source.rig != rig:
             return
-        frame, playback = result.frame, result.playback
-        self.seek.setVisible(playback.seekable)
-        if playback.length is not None and not self.seek.isSliderDown():
-            with QSignalBlocker(self.seek):
-                self.seek.setMaximum(playback.length - 1)
-                self.seek.setValue(playback.index)
+        frame = result.frame
         for (side, image), pane in self.previews.items():
             if image == "color" and side == "tactile" and frame.tactile_color is None:
                 pane.set_pixels(None, (640, 480), 1)
@@ -117,19 +107,12 @@ class FramesPage(QWidget):
             if state.digests != self._listed:
                 self._listed = state.digests
                 self.list.clear()
-                for snapshot in state.snapshots:
-                    self.list.addItem(self._item(snapshot))
+                self.list.addItems(map(self._words, state.snapshots))
             self.list.setCurrentRow(-1 if state.number is None else state.number)
         self.remove.setEnabled(state.number is not None)
         self.taken.setVisible(bool(state.snapshots))
 
-    def _item(self, snapshot: Snapshot) -> QListWidgetItem:
-        shown = picture(snapshot.frame, self._session.rig, "proximity", "color")
-        height, width = shown.gray.shape
-        image = QImage(shown.pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGB32)
-        thumbnail = image.scaled(
-            _THUMBNAIL, Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
-        )
+    def _words(self, snapshot: Snapshot) -> str:
         counts = snapshot.frame.tactile_depth
         centre = counts[
             counts.shape[0] // 3 : 2 * counts.shape[0] // 3, counts.shape[1] // 3 : 2 * counts.shape[1] // 3
@@ -138,7 +121,7 @@ class FramesPage(QWidget):
         words = snapshot.name + (f"\nmembrane at {1e3 * np.median(depths_m):.0f} mm" if len(depths_m) else "")
         if snapshot.source not in {"", self._context.source_name}:
             words += f"\n{snapshot.source}"
-        return QListWidgetItem(QIcon(QPixmap.fromImage(thumbnail)), words)
+        return words
 
     def _ended(self, taken: bool) -> None:
         self.running.hide()

@@ -8,15 +8,15 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, Qt
-from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
-from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
+from PyQt6.QtGui import QAction, QCloseEvent, QKeyEvent, QKeySequence, QShortcut
+from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QToolButton, QWidget
 
 from ...core.calibration.check import compare_alignments, is_worse
 from ...core.calibration.points import read_points, write_points
 from ...core.calibration.report import CalibrationReport, grade
 from ...core.errors import TactuneError, counted
 from ...core.model.frames import Rig
-from ...widgets.basics.controls import choice_button, push_button, wrapped_label
+from ...widgets.basics.controls import action_button, choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -81,8 +81,9 @@ class CalibrationWizard(QDialog):
             self.steps.addButton(button, number)
             buttons.append(button)
         self.over = push_button("Start o&ver", "Clear the wizard; undo restores everything until it is closed")
-        self.undo = push_button("&Undo", "Nothing to undo (Ctrl+Z)", "Ctrl+Z")
-        self.redo = push_button("&Redo", "Nothing to redo (Ctrl+Shift+Z)", "Ctrl+Shift+Z")
+        stack = self.session.undo_stack
+        self.undo = self._step_button(stack.createUndoAction(self), "Undo", "Ctrl+Z")
+        self.redo = self._step_button(stack.createRedoAction(self), "Redo", "Ctrl+Shift+Z", "Ctrl+Y")
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
@@ -103,20 +104,15 @@ class CalibrationWizard(QDialog):
         footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
         vbox(top, (area, 1), footer, within=self, margins=8, spacing=4)
 
+    def _step_button(self, action: QAction | None, name: str, *keys: str) -> QToolButton:
+        """Return the button of an action of the undo stack, whose text says in the tooltip what it would do."""
+        assert action is not None
+        action.setIconText(name)
+        action.setShortcuts([QKeySequence(each) for each in keys])
+        return action_button(action, with_text=True)
+
     def _connect(self) -> None:
-        session, stack = self.session, self.session.undo_stack
-        for push, name, keys, do, changed, can in (
-            (self.undo, "Undo", "Ctrl+Z", stack.undo, stack.undoTextChanged, stack.canUndoChanged),
-            (self.redo, "Redo", "Ctrl+Shift+Z", stack.redo, stack.redoTextChanged, stack.canRedoChanged),
-        ):
-            changed.connect(
-                lambda text, push=push, name=name, keys=keys: push.setToolTip(
-                    f"{name}: {text} ({keys})" if text else f"Nothing to {name.lower()} ({keys})"
-                )
-            )
-            can.connect(push.setEnabled)
-            push.setEnabled(False)
-            push.clicked.connect(do)
+        session = self.session
         self.steps.idClicked.connect(self.go_to)
         self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
         self.next.clicked.connect(self.go_on)
@@ -141,7 +137,6 @@ class CalibrationWizard(QDialog):
             changed.connect(self._show_steps)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("Ctrl+PgDown", self.go_on),
-            ("Ctrl+Y", stack.redo),
             ("Ctrl+S", self.save_preset),
             *((f"Ctrl+{number + 1}", partial(self.go_to, number)) for number in range(len(STEPS))),
         )
