@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QPalette
+from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
 
 from ...core.errors import SourceError
@@ -84,7 +84,7 @@ class SourcePage(QWidget):
 
 
 class FilesPage(SourcePage):
-    """Asks for a file or folder, and lists the recent sources, newest first. Those that are gone are grey."""
+    """Asks for a file or folder, and lists the recent sources, newest first."""
 
     title = "Files and recent"
 
@@ -102,14 +102,7 @@ class FilesPage(SourcePage):
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         buttons = hbox(self.file, self.folder, self.simulator, STRETCH)
         vbox(buttons, wrapped_label("Opened before:"), (self.list, 1), within=self, margins=8)
-        for name in settings.recent(RECENT):
-            item = QListWidgetItem(name)
-            item.setData(Qt.ItemDataRole.UserRole, name)
-            if (missing := missing_path(name)) is not None:
-                item.setText(f"{name}\n{_MISSING.format(missing)}")
-                item.setForeground(self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text))
-            item.setToolTip(item.text())
-            self.list.addItem(item)
+        self.list.addItems(settings.recent(RECENT))
         self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
         self.list.itemActivated.connect(lambda _: self.activated.emit())
         self.file.clicked.connect(
@@ -130,7 +123,7 @@ class FilesPage(SourcePage):
         if event is None or event.key() != Qt.Key.Key_Delete or item is None:
             super().keyPressEvent(event)
             return
-        self._settings.remove_recent(RECENT, item.data(Qt.ItemDataRole.UserRole))
+        self._settings.remove_recent(RECENT, item.text())
         self.list.takeItem(self.list.row(item))
 
     def _open_simulator(self) -> None:
@@ -138,7 +131,7 @@ class FilesPage(SourcePage):
         self.activated.emit()
 
     def _selected(self, item: QListWidgetItem | None) -> None:
-        name = "" if item is None else item.data(Qt.ItemDataRole.UserRole)
+        name = "" if item is None else item.text()
         missing = missing_path(name) if name else None
         self._choose(name, "" if missing is None else _MISSING.format(missing))
 

@@ -1,4 +1,4 @@
-"""A table of records: a person reads, sorts, ticks, selects and copies rows; the records change elsewhere."""
+"""A table of records: a person reads, sorts, ticks and selects rows; the records change elsewhere."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from math import isfinite
 from typing import Any, Final
 
 from PyQt6.QtCore import QAbstractTableModel, QItemSelection, QItemSelectionModel, QModelIndex, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QKeySequence
+from PyQt6.QtGui import QColor, QKeyEvent
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
 from ...core.errors import minus
-from .controls import copy_text, named
+from .controls import named
 from .theme import theme_colors, theme_name
 
 _Role = Qt.ItemDataRole
@@ -131,8 +131,8 @@ class _Model(QAbstractTableModel):
 class RecordTable(QTableView):
     """Shows records in columns. Whoever listens to its signals changes the records and calls `set_records`.
 
-    Ctrl+C copies the selected rows, or all; space ticks the selected rows. A record stays selected by its ``key``;
-    the rows of ``marked`` records are highlighted.
+    Space ticks the selected rows. A record stays selected by its ``key``; the rows of ``marked`` records are
+    highlighted.
     """
 
     ticked = pyqtSignal(object, bool)  # record, on
@@ -209,18 +209,10 @@ class RecordTable(QTableView):
             self.scrollTo(self._model.index(rows[0], 0))
         self._showing = False
 
-    def copy(self) -> None:
-        records = self._selected() or self._model.records
-        lines = [[column.title for column in self._model.columns]]
-        lines += [[column.text(record) for column in self._model.columns] for record in records]
-        copy_text("\n".join("\t".join(line) for line in lines))
-
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is None:
             return
-        if event.matches(QKeySequence.StandardKey.Copy):
-            self.copy()
-        elif event.key() in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
+        if event.key() in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
             self.deleteRequested.emit()
         elif event.key() == Qt.Key.Key_Space and any(column.ticked for column in self._model.columns):
             box = next(column.ticked for column in self._model.columns if column.ticked is not None)
