@@ -18,7 +18,7 @@ from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context
 from ..worker.results import CloudName, Pace, Result, SourceState
 from .pointing import hsv_words
-from .status import FrameStatus, patch_readings
+from .status import INTERVAL_S, FrameStatus, patch_readings
 from .toolbar import Transport
 from .view_area import ViewArea
 
@@ -80,9 +80,6 @@ def _metres(value: float) -> str:
     return f"{value:.4f} m" if math.isfinite(value) else "none"
 
 
-#: Interval between updates of the numbers while frames play, in seconds: nobody reads them faster.
-READING_INTERVAL_S = 0.1
-
 #: The cameras that each view needs.
 _CAMERAS: dict[CloudName, tuple[CameraRole, ...]] = {
     CloudName.PROXIMITY: ("proximity",),
@@ -109,7 +106,7 @@ class FramePresenter(QObject):
         self._views, self._strip, self._panel = views, strip, panel
         self._transport, self._status, self._messages = transport, status, context.messages
         self._pixel = (-1, -1)
-        self._pace = Pace(READING_INTERVAL_S)
+        self._pace = Pace(INTERVAL_S)
         self._shown_warnings: tuple[str, ...] = ()
         self._share = 0.5
         strip.hovered.connect(self._hovered)

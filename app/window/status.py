@@ -13,7 +13,7 @@ from ...widgets.basics.overlays import Reading
 from ..worker.playback import PlaybackState
 from ..worker.results import Pace, RateMeter, Result, SourceInfo, SourceState
 
-#: Interval between updates while frames play, in seconds.
+#: Interval between updates of numbers while frames play, in seconds: nobody reads them faster.
 INTERVAL_S = 0.2
 #: Times below this are shown as 0: the stage is cached or was skipped.
 _MIN_SHOWN_MS = 0.05

@@ -23,6 +23,8 @@ from .results import ComparedFrame, ComparedSide, Rendered, Result, SourceInfo, 
 COUNTING_INTERVAL_S = 0.2
 #: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
 STRIP_INTERVAL_S = 0.09
+#: Share of the images' full resolution that is enough while frames play.
+_RUNNING_SHARE = 0.8
 #: Number of frames whose times are kept for a comparison.
 TIMED_FRAMES = 30
 
@@ -125,7 +127,7 @@ class FrameProcessor:
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
             wanted = replace(wanted, images=frozenset())
         if playback.playing and not held:
-            wanted = self._due(wanted.while_running(), started)
+            wanted = self._due(wanted, started)
         if compared is None:
             rendered, both = self._render(self._present, frame, info.rig, wanted), None
         else:
@@ -160,15 +162,16 @@ class FrameProcessor:
         )
 
     def _due(self, wanted: Wanted, now_s: float) -> Wanted:
-        """Leave out what was drawn a short time ago."""
-        if now_s - self._counted_s < COUNTING_INTERVAL_S:
-            wanted = replace(wanted, histograms=frozenset(), words=False)
-        else:
-            self._counted_s = now_s
-        if now_s - self._strip_s < STRIP_INTERVAL_S:
-            return replace(wanted, images=frozenset())
-        self._strip_s = now_s
-        return wanted
+        """Leave out what was drawn a short time ago, and draw the images a little coarser."""
+        counts, draws = now_s - self._counted_s >= COUNTING_INTERVAL_S, now_s - self._strip_s >= STRIP_INTERVAL_S
+        self._counted_s, self._strip_s = now_s if counts else self._counted_s, now_s if draws else self._strip_s
+        return replace(
+            wanted,
+            histograms=wanted.histograms if counts else frozenset(),
+            words=counts,
+            images=wanted.images if draws else frozenset(),
+            strip_width=round(_RUNNING_SHARE * wanted.strip_width),
+        )
 
     def _find_compared(self, frame: SensorFrame, info: SourceInfo, sides: Sides | None) -> list[PatchFinder]:
         """Find the patches of compared presets; each keeps its own pipeline, for its cached steps and averages."""

@@ -309,8 +309,7 @@ def membrane_along_proximity_m(frame: SensorFrame, preset: Preset, rig: Rig, sam
 def proximity_view(scene: Scene) -> DepthCloud:
     patch = scene.patch
     if patch is not None and scene.color_by is ColorBy.PROVENANCE:
-        cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
-        return replace(cloud, depth=_depth_with_patch(scene, patch))
+        return _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme), patch)
     return _proximity_cloud(scene, None, depth_lut_faint_behind())
 
 
@@ -350,7 +349,7 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     else:
         index, lut = _relief(scene), patch_lut(scene.theme)
         index[shown] = CONTACT_ROW
-    return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
+    return _proximity_cloud(scene, index, lut, patch, len(patch.points))
 
 
 def hatching(patch: ContactPatch) -> BoolArray:
@@ -374,10 +373,12 @@ _VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {
 }
 
 
-def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, count: int | None = None) -> DepthCloud:
+def _proximity_cloud(
+    scene: Scene, index: Uint8Array | None, lut: Uint8Array, patch: ContactPatch | None = None, count: int | None = None
+) -> DepthCloud:
     camera = scene.rig.proximity
     return DepthCloud(
-        depth=scene.frame.proximity_depth,
+        depth=scene.frame.proximity_depth if patch is None else _depth_with_patch(scene, patch),
         depth_unit_m=camera.depth_unit_m,
         rays=ray_table(camera.intrinsics),
         lut=lut,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,10 +52,6 @@ class _AtRest(FrameSource):
         return self._untouched
 
 
-#: Share of the strip's full resolution that is enough while frames run.
-_RUNNING_SHARE = 0.8
-
-
 class CloudName(StrEnum):
     """The three views, left to right."""
 
@@ -91,10 +87,6 @@ class Wanted:
     histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})
     dark: bool = False
     words: bool = True
-
-    def while_running(self) -> Wanted:
-        """Return what is drawn while frames play: the strip a little coarser."""
-        return replace(self, strip_width=round(_RUNNING_SHARE * self.strip_width))
 
 
 @dataclass(frozen=True, eq=False)

@@ -111,15 +111,16 @@ def scatter(
         i = row * step
         line, below = depth[i], depth[min(i + 1, height - 1)]
         for column in range(columns):
-            j = column * step
-            seen = line[j]
-            if step > 1 and (seen == 0 or seen > HIGHEST_COUNT) and i + 1 < height and j + 1 < width:
-                seen = below[j + 1]
-                if indexed:
-                    shade[column] = index[i + 1, j + 1]
-            elif indexed:
-                shade[column] = index[i, j]
-            count[column] = seen
+            count[column] = line[column * step]
+        if indexed:
+            for column in range(columns):
+                shade[column] = index[i, column * step]
+        if step > 1 and i + 1 < height:
+            for column in range(min(columns, (width - 2) // step + 1)):
+                if count[column] == 0 or count[column] > HIGHEST_COUNT:
+                    count[column] = below[column * step + 1]
+                    if indexed:
+                        shade[column] = index[i + 1, column * step + 1]
         # … then the arithmetic without branches, which the compiler vectorises …
         across, down = rays[0, row], rays[1, row]
         for column in range(columns):
@@ -170,12 +171,12 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
         first, last, out, seen = pixels[i + size], pixels[i + 2 * size - 1], image[i], _EMPTY
         for j in range(nearest.shape[0]):
             nearest[j] = min(first[j], last[j])
+            seen = min(seen, nearest[j])
         for below in range(1, size - 1):
             row = pixels[i + size + below]
             for j in range(nearest.shape[0]):
                 nearest[j] = min(nearest[j], row[j])
-        for j in range(nearest.shape[0]):
-            seen = min(seen, nearest[j])
+                seen = min(seen, nearest[j])
         if seen == _EMPTY:
             for j in range(width):
                 out[j] = background
