@@ -11,6 +11,7 @@ from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
 from ...widgets.basics.controls import caption, named, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.overlays import Notice
 from ...widgets.basics.record_table import Column, RecordTable
 from ..worker.jobs import Job
 from .list_devices import ask_driver
@@ -57,6 +58,7 @@ class CamerasPage(SourcePage):
         self._hint = ""
         self._has_searched = False
         self.list = RecordTable(_COLUMNS, "Connected cameras", "The cameras that are connected now")
+        self.empty = Notice(self.list)
         self.proximity = _combo(
             "Proximity camera", "Looks through the membrane at the object: the L515 (infrared, time of flight)"
         )
@@ -89,6 +91,12 @@ class CamerasPage(SourcePage):
 
     def stop(self) -> None:
         self._search.stop()
+
+    def _choose(self, name: str, note: str = "") -> None:
+        """Choose a name; without cameras the note stands where they would."""
+        there = bool(self.list.records())
+        self.empty.set_text("" if there else note)
+        super()._choose(name, note if there else "")
 
     def _open_topics(self) -> None:
         self._choose(_ROS2)

@@ -14,6 +14,7 @@ from ...core.sources.registry import missing_path, source_kinds
 from ...widgets.basics.controls import named, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.overlays import Notice
 from ..settings import Settings
 
 
@@ -58,6 +59,7 @@ def _file_kinds() -> list[SourceKind]:
 
 RECENT = "sources"
 _MISSING = "There is nothing at {} any more: it was moved or deleted. Delete removes it from this list."
+_NOTHING = "Nothing yet: choose a file or a folder, or open the simulator"
 _SIMULATOR = "sim:cup"
 
 
@@ -103,6 +105,7 @@ class FilesPage(SourcePage):
         buttons = hbox(self.file, self.folder, self.simulator, STRETCH)
         vbox(buttons, wrapped_label("Opened before:"), (self.list, 1), within=self, margins=8)
         self.list.addItems(settings.recent(RECENT))
+        Notice(self.list).set_text("" if self.list.count() else _NOTHING)
         self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
         self.list.itemActivated.connect(lambda _: self.activated.emit())
         self.file.clicked.connect(

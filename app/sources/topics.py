@@ -47,7 +47,8 @@ class TopicsDialog(QDialog):
         self.choices: dict[str, ChoiceBox] = {}
         self._pictures: dict[str, QLabel] = {}
         grid = QGridLayout()
-        for number, slot in enumerate(_SLOTS):
+        kinds = {image.kind for image in found.images}
+        for number, slot in enumerate(slot for slot in _SLOTS if slot.partition(".")[2] in kinds):
             self._add(grid, number, slot)
         self.note = NoteLabel(lines=2)
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
@@ -82,11 +83,17 @@ class TopicsDialog(QDialog):
             choice.currentIndexChanged.connect(lambda _: self._follow(slot.partition(".")[0]))
 
     def _follow(self, role: str) -> None:
-        """With a depth, choose the colour of its camera, unless that of a camera without depth was chosen."""
-        images, color = {image.name: image for image in self._found.images}, self.choices[f"{role}.color"]
-        depth, chosen = images.get(self.choices[f"{role}.depth"].currentData()), images.get(color.currentData())
+        """With a depth, choose the other of two, and the colour of its camera unless a camera without depth has it."""
+        images, color = {image.name: image for image in self._found.images}, self.choices.get(f"{role}.color")
+        depth = images.get(self.choices[f"{role}.depth"].currentData())
+        others = [image for image in images.values() if image.kind == "depth" and image is not depth]
+        other = self.choices["tactile.depth" if role == "proximity" else "proximity.depth"]
+        if depth is not None and len(others) == 1 and not other.currentData():
+            other.setCurrentIndex(other.findData(others[0].name))
+        if color is None:
+            return
+        chosen, camera = images.get(color.currentData()), depth and depth.camera
         cameras = [image.camera for image in images.values() if image.kind == "depth"]
-        camera = depth and depth.camera
         own = [image.name for image in images.values() if image.kind == "color" and image.camera == camera]
         if chosen is None or chosen.camera in cameras:
             color.setCurrentIndex(color.findData(own[0] if own else ""))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
-from ...core.errors import TactuneError
+from ...core.errors import TactuneError, as_sentence
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.metrics import patch_overlap
 from ...core.model.patch import Doubt
@@ -73,7 +73,7 @@ class PatchFinder:
             self._pipeline.cameras_moved = self.cameras_moved
             self.patch, self.problem = self._pipeline.process(frame), ""
         except TactuneError as error:
-            self._pipeline, self.patch, self.problem, self.warnings = None, None, str(error), ()
+            self._pipeline, self.patch, self.problem, self.warnings = None, None, as_sentence(str(error)), ()
             return
         if not kept:
             self.times_ms.clear()

@@ -58,11 +58,12 @@ def draw_strip(scene: Scene, wanted: Wanted) -> RenderedStrip:
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
     image, mask = frame.proximity_color, scene.preset.mask
+    shows_mask = mask.enabled and wanted.shows_mask
     as_masked = image if patch is None or patch.mask_colors is None else patch.mask_colors.get()
     panes: dict[str, Uint8Array] = {}
     if "color" in images:
         color, covered = aligned_color(image, rig, depth_m, valid, typical_m, stride), None
-        if mask.enabled and wanted.shows_mask:
+        if shows_mask:
             same = as_masked is image
             compared = color if same else aligned_color(as_masked, rig, depth_m, valid, typical_m, stride)
             covered = in_hsv_range(compared, mask)
@@ -84,7 +85,7 @@ def draw_strip(scene: Scene, wanted: Wanted) -> RenderedStrip:
     if patch is not None:
         outline_contact(panes.values(), patch.mask[every])
     share = masked_share(as_masked, mask) if mask.enabled else None
-    return RenderedStrip(panes, (width, height), stride, depth_range_m, scene.accepted, share)
+    return RenderedStrip(panes, (width, height), stride, depth_range_m, scene.accepted, share, shows_mask)
 
 
 def aligned_color(

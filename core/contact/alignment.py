@@ -95,8 +95,7 @@ def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
     pose = calibrated or rig.T_proximity_tactile
     if pose is None:
         raise RigMismatchError(
-            "the pose of the tactile camera is not known: neither preset (alignment.rigid.T_proximity_tactile) nor rig "
-            "has one; calibrate, or set it in the preset"
+            "the pose of the tactile camera is not known: calibrate, or set alignment.rigid.T_proximity_tactile"
         )
     return np.asarray(pose)
 

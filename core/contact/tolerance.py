@@ -3,7 +3,7 @@
 Depth ranges of image tiles exclude those that cannot hold contact (`kernels.coarse`). In the others one pass over
 sixteen pixels at once aligns, tests region, range, |dp - dt| <= t |dp| and colour, and deprojects (`kernels.chain`).
 Rigid alignment projects each proximity point into the tactile image and reads the depth there: no holes, exact at
-contact. Then statistical outliers and small clusters are dropped.
+contact. Then statistical outliers and small contacts are dropped.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ToleranceSection(Section):
 
 
 class OutlierSection(Section):
-    """Statistical outlier removal (Open3D's definition) and the smallest cluster kept."""
+    """Statistical outlier removal (Open3D's definition) and the smallest contact kept."""
 
     enabled: Annotated[
         bool, described("Remove outliers", "Drop points that lie unusually far from their neighbours.")
@@ -74,7 +74,7 @@ class OutlierSection(Section):
     min_cluster_area_mm2: Annotated[
         float,
         described(
-            "Smallest cluster",
+            "Smallest contact",
             "Connected groups of contact pixels with a smaller area are dropped. 0 keeps all.",
             unit="mm2",
             slider=(0.0, 500.0),
@@ -104,7 +104,7 @@ class ToleranceTest(ContactTest):
     drop_reasons = {
         Provenance.MASKED: MASK_REASON,
         Provenance.OUTLIER: DropReason("the outlier removal", "raise its ratio, or switch it off"),
-        Provenance.SMALL_CLUSTER: DropReason("the limit on small clusters", "lower the smallest cluster"),
+        Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
     }
 
     def __init__(self, pixels: Pixels) -> None:

@@ -51,7 +51,7 @@ _EXPLANATIONS = {
     Provenance.OUTSIDE_TOLERANCE: "Dropped: membrane and object are too far apart here.",
     Provenance.MASKED: "Dropped: the colour is that of the membrane's prints, which reflect infrared.",
     Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
-    Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
+    Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest contact kept.",
     Provenance.CONTACT: "Kept: the membrane touches the object here.",
     Provenance.RIM: "Dropped: beside the contact, where the membrane has left the object; contact ends further in.",
 }

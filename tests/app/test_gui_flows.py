@@ -105,7 +105,7 @@ def test_while_picking_a_banner_says_what_to_click_and_the_line_tells_the_colour
 def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
     panel, pane = window.panel, window.strip.panes["color"]
     assert not panel.masked_share.isVisible()
-    assert not panel.show_mask.isEnabled(), "there is no mask"
+    assert not panel.show_mask.isEnabled() and [name for name, _ in pane.legend.entries] == ["contact"], "no mask"
     QTest.mouseClick(panel.eyedroppers["set"], LEFT)
     QTest.mouseClick(pane.view.viewport(), LEFT, pos=image_position(pane, 8, 8).toPoint())
     qtbot.waitUntil(panel.masked_share.isVisible)
@@ -114,11 +114,12 @@ def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
 
     def tinted():
         corner = window.result.rendered.strip.panes["color"][4:8, 4:8, :3]
-        return bool((corner != MEMBRANE_RGB[::-1]).any(axis=2).all())
+        seen = bool((corner != MEMBRANE_RGB[::-1]).any(axis=2).all())
+        return seen, "masked" in dict(pane.legend.entries)
 
-    assert tinted()
+    assert tinted() == (True, True)
     QTest.mouseClick(panel.show_mask, LEFT)
-    qtbot.waitUntil(lambda: not tinted())
+    qtbot.waitUntil(lambda: tinted() == (False, False))
 
 
 def test_hovering_says_why_a_pixel_was_kept(window, qtbot):

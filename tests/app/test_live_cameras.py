@@ -110,7 +110,7 @@ def test_a_tactile_camera_alone_and_ros_2_topics_are_opened_from_the_page(window
 def test_what_is_wrong_is_said_with_what_to_do(window, answering, qtbot, program, words):
     answering(program)
     dialog = chooser(window, qtbot)
-    qtbot.waitUntil(lambda: dialog.note.text().startswith(words))
+    qtbot.waitUntil(lambda: (dialog.note.text() or dialog.page.empty.text()).startswith(words))
     assert not open_button(dialog).isEnabled()
 
 
@@ -118,10 +118,10 @@ def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
     monkeypatch.setattr(list_devices, "PATIENCE_S", 0.3)
     answering("import time; time.sleep(60)")
     dialog = chooser(window, qtbot)
-    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not list its cameras"))
+    qtbot.waitUntil(lambda: dialog.page.empty.text().startswith("The camera driver does not list its cameras"))
     QTest.keyClick(dialog, Qt.Key.Key_F5)
-    qtbot.waitUntil(lambda: dialog.note.text().startswith("Searching"))
-    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not list its cameras"))
+    qtbot.waitUntil(lambda: dialog.page.empty.text().startswith("Searching"))
+    qtbot.waitUntil(lambda: dialog.page.empty.text().startswith("The camera driver does not list its cameras"))
 
 
 # Settings

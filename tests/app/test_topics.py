@@ -18,6 +18,12 @@ def press(dialog, button):
     QTest.mouseClick(dialog.buttons.button(button), LEFT)
 
 
+def ask(window, qtbot, path):
+    window.open_source(str(path))
+    qtbot.waitUntil(lambda: window.topics.dialog is not None and window.topics.dialog.isVisible())
+    return window.topics.dialog
+
+
 @pytest.fixture
 def asked(window, qtbot, tmp_path):
     """The dialog for a recording whose names say which camera is which, and its path."""
@@ -27,9 +33,7 @@ def asked(window, qtbot, tmp_path):
         color("/l515/color/image_raw", "c_optical"),
     ]
     path = make_recording(tmp_path / "take", streams)
-    window.open_source(str(path))
-    qtbot.waitUntil(lambda: window.topics.dialog is not None and window.topics.dialog.isVisible())
-    return window.topics.dialog, path
+    return ask(window, qtbot, path), path
 
 
 def opened(window, path):
@@ -80,6 +84,16 @@ def test_the_colour_of_a_camera_comes_with_its_depth(asked):
     assert color_choice.currentData() == "", "that of the other camera goes"
 
 
+def test_names_that_tell_nothing_need_one_choice(window, qtbot, tmp_path):
+    path = make_recording(tmp_path / "take", [depth("/left", "a_optical"), depth("/right", "b_optical", 390)])
+    dialog = ask(window, qtbot, path)
+    assert list(dialog.choices) == ["proximity.depth", "tactile.depth"] and not dialog.topics
+    QTest.keyClick(dialog.choices["tactile.depth"], Qt.Key.Key_End)
+    QTest.keyClick(dialog, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: opened(window, path))
+    assert window.result.frame.tactile_depth[0, 0] in (390, 391, 392) and window.result.source.rig.has_proximity
+
+
 def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
     dialog, path = asked
     press(dialog, QDialogButtonBox.StandardButton.Cancel)
@@ -94,9 +108,7 @@ def test_a_lens_that_the_recording_lacks_is_asked_for(window, qtbot, tmp_path):
     path = make_recording(tmp_path / "take", [depth("/d405/depth/image_rect_raw", "b_optical", 390, info=None)])
     (tmp_path / "K,1.txt").write_text("30 0 15.5 0 31 11.5 0 0 1")
     (tmp_path / "other.txt").write_text("1 0 0")
-    window.open_source(str(path))
-    qtbot.waitUntil(lambda: window.topics.dialog is not None and window.topics.dialog.isVisible())
-    dialog = window.topics.dialog
+    dialog = ask(window, qtbot, path)
     assert not dialog.buttons.button(QDialogButtonBox.StandardButton.Open).isEnabled()
     for name in ("other.txt", "K,1.txt"):  # the wrong one is replaced
         QTest.mouseClick(dialog.lens, LEFT)

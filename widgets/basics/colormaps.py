@@ -69,7 +69,7 @@ _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.OUTSIDE_TOLERANCE: "not touching",
     Provenance.MASKED: "masked",
     Provenance.OUTLIER: "outlier",
-    Provenance.SMALL_CLUSTER: "small cluster",
+    Provenance.SMALL_CLUSTER: "small contact",
     Provenance.NO_TACTILE_DEPTH: "no tactile depth",
     Provenance.OUTSIDE_RANGE: "out of range",
     Provenance.OUTSIDE_REGION: "out of region",

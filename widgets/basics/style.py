@@ -32,7 +32,6 @@ _METRICS: Final = {
     _Metric.PM_LayoutBottomMargin: 2 * GRID,
     _Metric.PM_LayoutHorizontalSpacing: 2 * GRID,
     _Metric.PM_LayoutVerticalSpacing: 2 * GRID,
-    _Metric.PM_ToolBarItemSpacing: GRID,
     _Metric.PM_ToolBarIconSize: 4 * GRID,
 }
 
@@ -61,6 +60,7 @@ QToolButton[autoRaise="true"] { border: 1px solid transparent; border-radius: 4p
 QToolButton[autoRaise="true"]:checked { background: $border; border-color: $outline; }
 QLineEdit, QAbstractSpinBox, QComboBox, QPlainTextEdit, QTextEdit {
     background: $base; border: 1px solid $outline; border-radius: 4px; padding: 0 2px; }
+QLineEdit { lineedit-clear-button-icon: url($icons/close.svg); }
 QComboBox { background: $button; padding: 2px 4px; combobox-popup: 0; }
 QComboBox QAbstractItemView { background: $base; selection-background-color: $accent; selection-color: $on_accent; }
 QLineEdit:focus, QAbstractSpinBox:focus, QComboBox:focus { border-color: $focus; }
@@ -107,7 +107,6 @@ QFrame[severity="Error"] { background: $error; }
 QLabel[plate="plain"] { background: $base; border-radius: 4px; padding: 4px 8px; }
 QLabel[plate="warning"] {
     background: $alternate; border: 1px solid $warning; border-radius: 4px; padding: 4px 8px; color: $warning; }
-QToolBar { border: none; spacing: 4px; padding: 2px 4px; }
 """)
 
 

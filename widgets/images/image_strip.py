@@ -267,12 +267,13 @@ class ImageStrip(QWidget):
             self.wantedChanged.emit()
 
     def _show_legends(self, rendered: RenderedStrip) -> None:
-        key = (rendered.depth_range_m, rendered.tolerance, rendered.difference_limit)
+        key = (rendered.depth_range_m, rendered.tolerance, rendered.difference_limit, rendered.shows_mask)
         if key == self._legend_key:
             return
         self._legend_key = key
         depth = [*depth_legend(*rendered.depth_range_m), ("no depth", QColor(*NO_VALUE_RGB))]
-        self.panes["color"].set_legend([("contact", QColor(*CONTACT_RGB)), ("masked", QColor(*MASKED_RGB))])
+        masked = [("masked", QColor(*MASKED_RGB))] if rendered.shows_mask else []
+        self.panes["color"].set_legend([("contact", QColor(*CONTACT_RGB)), *masked])
         self.panes["proximity"].set_legend(depth)
         self.panes["tactile"].set_legend(depth)
         self.panes["difference"].set_legend(difference_legend(rendered.tolerance, rendered.difference_limit))

@@ -42,7 +42,8 @@ class RenderedStrip:
     stride: int
     depth_range_m: tuple[float, float]
     tolerance: float
-    masked_share: float | None = None
+    masked_share: float | None = None  # of the colour image; None without a mask
+    shows_mask: bool = False
 
     @property
     def difference_limit(self) -> float:

@@ -50,7 +50,7 @@ class PressureSection(Section):
     min_area_mm2: Annotated[
         float,
         described(
-            "Smallest patch",
+            "Smallest contact",
             "Connected groups of pixels with a smaller area are dropped. 0 keeps all.",
             unit="mm2",
             slider=(0.0, 500.0),

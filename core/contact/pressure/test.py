@@ -74,7 +74,7 @@ class PressureTest(ContactTest):
     looser_words = "lower the pressure limit"
     drop_reasons = {
         Provenance.MASKED: MASK_REASON,
-        Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact area"),
+        Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
     }
     needs_proximity = False
     needs_untouched = True

@@ -186,8 +186,8 @@ class RosSource(RecordedSource):
         pose = self._poses.pose(first, second)
         if pose is None:
             self._lacks.append(
-                "the pose between the cameras is not in this recording (no chain of fixed transforms from "
-                f"{first or 'an unnamed frame'} to {second or 'an unnamed frame'}): calibrate the alignment"
+                f"no fixed transforms join the cameras' frames {first or 'without a name'} and "
+                f"{second or 'without a name'}: calibrate the alignment"
             )
             return cameras, None
         if not pose[:3, 3].any():  # two drivers that were left with the same frame names
