@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
-from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QDialog, QGridLayout, QLabel, QWidget
 
 from ...core.errors import PresetError, TactuneError, as_sentence
 from ...core.preset import Preset, now
@@ -35,7 +35,7 @@ def section_title(section: str) -> str:
     return _TITLES.get(section, section.replace("_", " ").capitalize())
 
 
-class ProposalCard(QFrame):
+class ProposalCard(QWidget):
     """Shows a proposal, which can be left out."""
 
     changed = pyqtSignal()  # it was ticked or unticked
@@ -43,7 +43,6 @@ class ProposalCard(QFrame):
     def __init__(self, proposal: Proposal, preset: Preset) -> None:
         super().__init__()
         self.proposal, self._preset = proposal, preset
-        self.setFrameShape(QFrame.Shape.StyledPanel)
         self.take = QCheckBox(section_title(proposal.section))
         self.take.setToolTip(f"Take this suggestion for {section_title(proposal.section).lower()}, or leave it")
         self.take.setChecked(bool(proposal.changes))
@@ -57,13 +56,8 @@ class ProposalCard(QFrame):
         self._values.setHorizontalSpacing(16)
         self._values.setVerticalSpacing(4)
         self._values.setColumnStretch(3, 1)
-        column = QVBoxLayout(self)
-        column.setSpacing(4)
         head = hbox(self.take, (self.label, 1))
-        column.addLayout(head)
-        for widget in (self.evidence, self.expected):
-            column.addWidget(widget)
-        column.addLayout(self._values)
+        vbox(head, self.evidence, self.expected, self._values, within=self, margins=(0, 0, 0, 8), spacing=4)
         self.take.toggled.connect(self.changed)
         self._show_values()
 
@@ -301,12 +295,8 @@ class SuggestWindow(QDialog):
 
 
 def _refusal(section: str, sentence: str) -> QWidget:
-    frame = QFrame()
-    frame.setFrameShape(QFrame.Shape.StyledPanel)
     why = sentence.removeprefix(f"{section}: ").rstrip(".")
-    label = wrapped_label(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.", selectable=True)
-    QVBoxLayout(frame).addWidget(label)
-    return frame
+    return wrapped_label(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.", selectable=True)
 
 
 class SuggestControl(QObject):

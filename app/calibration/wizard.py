@@ -76,6 +76,7 @@ class CalibrationWizard(QDialog):
         buttons = []
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
             button = choice_button(f"&{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
+            button.setFlat(True)  # as the modes of the main window
             button.setMinimumHeight(30)
             button.setMinimumWidth(124)
             self.steps.addButton(button, number)

@@ -156,8 +156,8 @@ def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Arr
 
 
 def difference_legend(t: float, limit: float = DIFFERENCE_LIMIT) -> Legend:
-    low, high = ends_legend(f"−{limit:.0%}", f"+{limit:.0%}", difference_lut(t, limit))
-    within = [(f"within ±{t:.1%}", QColor(*_CANDIDATE_RGB))] if t > 0 else []  # only some contact tests use it
+    low, high = ends_legend(f"−{100 * limit:.0f} %", f"+{100 * limit:.0f} %", difference_lut(t, limit))
+    within = [(f"within ±{100 * t:.1f} %", QColor(*_CANDIDATE_RGB))] if t > 0 else []  # only some contact tests use it
     return [low, *within, high]
 
 

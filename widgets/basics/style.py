@@ -32,7 +32,6 @@ _METRICS: Final = {
     _Metric.PM_LayoutBottomMargin: 2 * GRID,
     _Metric.PM_LayoutHorizontalSpacing: 2 * GRID,
     _Metric.PM_LayoutVerticalSpacing: 2 * GRID,
-    _Metric.PM_ToolBarIconSize: 4 * GRID,
 }
 
 #: Largest width of a tooltip: lines of about 60 characters.

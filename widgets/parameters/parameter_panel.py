@@ -204,6 +204,11 @@ class ParameterPanel(QScrollArea):
         section = self.sections[name] = CollapsibleSection(title)
         form = self.forms[name] = Form(title=title.lower())
         vbox(form, within=section.body, margins=0)
+        tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
+        reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
+        reset.clicked.connect(lambda: self._reset_section(name))
+        keep_place(reset)
+        section.add_header_widget(reset)
         for spec in fields_of(name):
             row = self.rows[spec.path] = ParameterRow(spec, section)
             form.add(row)
@@ -222,16 +227,10 @@ class ParameterPanel(QScrollArea):
             form.add_line(bar, "Eyedropper")
             form.add_line(self.masked_share)
         if suggestible:
-            evidence = "the newest frames and the untouched frame"
-            tip = f"Measure {title.lower()} from {evidence}, and propose values"
+            tip = f"Measure {title.lower()} from the newest frames and the untouched frame, and propose values"
             suggest = self.suggests[name] = tool_button("Suggest", tip, f"Suggest {name.replace('_', ' ')}")
             suggest.clicked.connect(lambda: self.suggestRequested.emit(name))
             section.add_header_widget(suggest)
-        tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
-        reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
-        reset.clicked.connect(lambda: self._reset_section(name))
-        keep_place(reset)
-        section.add_header_widget(reset)
         return section
 
     def _add_below(self, spec: FieldSpec, form: Form) -> None:
@@ -252,7 +251,7 @@ class ParameterPanel(QScrollArea):
             rows = form.rows.values()
             header = [row.widget for row in rows if row.in_header]
             suggest = [self.suggests[name]] if name in self.suggests else []
-            chain += [self.sections[name].button, *header, *suggest, self.section_resets[name]]
+            chain += [self.sections[name].button, self.section_resets[name], *header, *suggest]
             plain = [row for row in rows if not row.in_header and not row.spec.advanced]
             chain += [stop for row in plain for stop in (*row.tab_stops, row.reset)]
             if name == "mask":
