@@ -28,6 +28,8 @@ _REST_MS = 500
 _CURSOR_S = 0.1
 #: Interval between updates of a live strip, in ms.
 _LIVE_MS = 200
+#: From this time without frames on, a live curve is interrupted, seconds.
+_STALL_S = 1.0
 #: Interval at which the answers of the process are looked for, in ms; longest wait for it to end, in s.
 _LOOK_MS, _ENDING_S = 100, 2.0
 #: Fields of a preset that no patch depends on.
@@ -167,7 +169,9 @@ class Timeline(QObject):
     def _show_live(self) -> None:
         now_s = time.monotonic()
         seconds = np.array([arrived_s - now_s for arrived_s, _ in self._live])
-        values = {curve.key: np.array([getattr(each, curve.key) for _, each in self._live]) for curve in CURVES}
+        values = {curve.key: np.array([getattr(each, curve.key) for _, each in self._live], float) for curve in CURVES}
+        for column in values.values():
+            column[1:][np.diff(seconds) > _STALL_S] = np.nan  # no line over a time without frames
         self._strip.set_live(seconds, values)
 
 

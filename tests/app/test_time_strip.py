@@ -114,6 +114,10 @@ def test_a_single_frame_has_nothing_to_mark_and_a_live_source_scrolls(window, qt
     live = FakeCameras()
     show_live(qtbot, window, live)
     assert not window.actions_.mark_in.isEnabled()
+    assert np.isfinite(window.time_strip._line.getData()[1]).all()
+    arrived_s, first = window.timeline._live[0]
+    window.timeline._live[0] = arrived_s - 2, first  # no frame for 2 s
+    qtbot.waitUntil(lambda: np.isnan(window.time_strip._line.getData()[1]).tolist() == [False, True, False])
 
 
 def show_live(qtbot, window, live):
