@@ -34,7 +34,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, SourceError
 from ..model.arrays import AnyArray, Uint8Array, Uint16Array
-from ..model.clouds import valid_depth
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
 from ..model.loading import decode_image, parse_npy, read_file
@@ -310,7 +309,7 @@ def _read_stamp(files: FrameFiles, index: int) -> _Stamp:
 
 def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     shape = rig.proximity.intrinsics.shape
-    contact, metres, counts = (folder / f"truth_{name}" for name in ("contact.png", "depth.npy", "depth.png"))
+    contact, metres = folder / "truth_contact.png", folder / "truth_depth.npy"
     if not contact.exists():
         return None
     mask = check_size(contact, read_image(contact), shape)
@@ -324,10 +323,6 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
                 f"{metres} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again in that "
                 "form"
             )
-    elif counts.exists():
-        found = read_depth(counts, rig.proximity)
-        known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
-        depth = np.where(valid_depth(found), known, np.float32(np.nan))
     if not np.isin(mask, (0, 255)).all():
         raise SourceError(f"{contact} contains other values than 0 and 255; write it again")
     return GroundTruth(mask == 255, depth)
