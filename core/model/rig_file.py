@@ -107,14 +107,16 @@ def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:
 def validation_sentence(error: ValidationError, origin: str, what: str) -> str:
     """Return a message about the first error, with the path of the field as in the file; ``what`` has the fields."""
     details = error.errors(include_url=False)
-    first = details[0]
-    where = foreign(".".join(str(part) for part in first["loc"] if part != "intrinsics"), 120) or what
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    if first["type"] == "missing":
-        return f"{origin}: {where} is missing{more}; add it"
-    if first["type"] == "extra_forbidden":
-        return f"{origin}: {where} is no field of {what}{more}; remove it or correct its name"
-    if first["type"] == "value_error":
-        return f"{origin}: {where}: {first['msg'].removeprefix('Value error, ')}{more}; correct it"
-    found = reprlib.repr(first["input"])
-    return f"{origin}: {where} is {found}, but it {first['msg'].removeprefix('Input ')}{more}; correct it"
+    return f"{origin}: {field_sentence(details[0], what)}{more}"
+
+
+def field_sentence(detail: Any, what: str) -> str:
+    """Return one of pydantic's errors in words: the path of the field, its value, and what is allowed."""
+    where = foreign(".".join(str(part) for part in detail["loc"] if part != "intrinsics"), 120) or what
+    if detail["type"] == "missing":
+        return f"{where} is missing; add it"
+    if detail["type"] == "extra_forbidden":
+        return f"{where} is no field of {what}; remove or correct it"
+    found, why = foreign(reprlib.repr(detail["input"]), 80), detail["msg"].removeprefix("Value error, ")
+    return f"{where} is {found}: {why.replace('Input should', 'it should')}; correct it"

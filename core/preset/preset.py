@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import re
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, Literal
 
@@ -17,9 +15,10 @@ from ..contact.contact_test import ContactTest
 from ..contact.membrane.section import MembraneSection
 from ..contact.pressure.section import PressureSection
 from ..contact.tolerance import OutlierSection, ToleranceSection
-from ..errors import PresetError, foreign
+from ..errors import PresetError
 from ..model.alignment import AlignmentSection
 from ..model.frames import Rig
+from ..model.rig_file import field_sentence
 from ..model.rig_noise import RigNoise, Verdict
 from ..model.sections import (
     CamerasSection,
@@ -42,7 +41,7 @@ _UNJUDGED: Final = dict.fromkeys(
     ("name", "notes", "created", "modified", "rig", "cameras", "untouched", "suggested", "verdict"), True
 ) | {"pressure": {"gauge_pa": True, "gauge_sigma_pa": True}}
 #: A message names at most this many bad fields.
-_MAX_ERRORS: Final = 9
+_MAX_ERRORS: Final = 7
 
 
 def now() -> datetime:
@@ -154,7 +153,7 @@ def parse_preset(document: Document, origin: str) -> Preset:
         parsed = PresetDocument.model_validate_json(text, strict=True, by_alias=True)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        sentences = [_explain(detail) for detail in details[:_MAX_ERRORS]]
+        sentences = [f"{field_sentence(detail, 'a preset')}{_meant(detail)}" for detail in details[:_MAX_ERRORS]]
         if len(details) > _MAX_ERRORS:
             sentences.append(f"and {len(details) - _MAX_ERRORS} more")
         raise PresetError(f"{origin}: " + "; ".join(sentences)) from error
@@ -217,21 +216,9 @@ def _plain(value: Any) -> Any:
     raise PresetError(f"a preset cannot hold {value!r} of type {type(value).__name__}; use numbers, texts and lists")
 
 
-def _explain(error: Any) -> str:
-    """Return a pydantic error as one sentence: path, value, and allowed values."""
-    location: Sequence[str | int] = error["loc"]
-    parts = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
-    path = foreign(parts.lstrip("."), 120) or "the preset"
-    if error["type"] == "extra_forbidden":
-        hint = difflib.get_close_matches(path, preset_paths(), n=1)
-        return f"{path} is not a field of a preset" + (f" (did you mean {hint[0]}?)" if hint else "; remove it")
-    if error["type"] == "missing":
-        return f"{path} is missing"
-    if error["type"] == "json_invalid":  # valid to Python's parser, so only texts and depth can be wrong
-        return f"a text is no valid Unicode or something is nested too deep ({error['msg']}); write it again"
-    shown = foreign(repr(error["input"]), 80)
-    message = error["msg"].removeprefix("Value error, ").removesuffix(" after validation")
-    if error["type"] in {"bool_type", "bool_parsing"}:
-        message = "it should be true or false"
-    message = re.sub(r"^(Input|String|Tuple) should", "it should", message)
-    return f"{path} is {shown}: {message}"
+def _meant(detail: Any) -> str:
+    """Return which field an unknown one may mean, in brackets."""
+    if detail["type"] != "extra_forbidden":
+        return ""
+    hint = difflib.get_close_matches(".".join(map(str, detail["loc"])), preset_paths(), n=1)
+    return f" (did you mean {hint[0]}?)" if hint else ""
