@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
 
 from ...core.errors import SourceError
@@ -58,7 +57,6 @@ def _file_kinds() -> list[SourceKind]:
 
 
 RECENT = "sources"
-_MISSING = "There is nothing at {} any more: it was moved or deleted. Delete removes it from this list."
 _NOTHING = "Nothing yet: choose a file or a folder, or open the simulator"
 _SIMULATOR = "sim:cup"
 
@@ -86,25 +84,23 @@ class SourcePage(QWidget):
 
 
 class FilesPage(SourcePage):
-    """Asks for a file or folder, and lists the recent sources, newest first."""
+    """Asks for a file or folder, and lists the recent sources that are still there, newest first."""
 
     title = "Files and recent"
 
     def __init__(self, settings: Settings, dialogs: Dialogs) -> None:
         super().__init__()
-        self._settings = settings
         self._dialogs = dialogs.over(self)
         self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
         self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
         self.simulator = push_button("Open &simulator", f"Open {_SIMULATOR}, a sensor that needs no cameras")
-        tip = "Sources that were open before; double-click one to open it, Delete removes it"
-        self.list = named(QListWidget(), "Recent sources", tip)
+        self.list = named(QListWidget(), "Recent sources", "Sources that were open before; double-click one to open it")
         self.list.setWordWrap(True)
         self.list.setSpacing(2)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         buttons = hbox(self.file, self.folder, self.simulator, STRETCH)
         vbox(buttons, wrapped_label("Opened before:"), (self.list, 1), within=self, margins=8)
-        self.list.addItems(settings.recent(RECENT))
+        self.list.addItems(name for name in settings.recent(RECENT) if missing_path(name) is None)
         Notice(self.list).set_text("" if self.list.count() else _NOTHING)
         self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
         self.list.itemActivated.connect(lambda _: self.activated.emit())
@@ -121,22 +117,12 @@ class FilesPage(SourcePage):
             self.list.setCurrentRow(0)
         self._selected(self.list.currentItem())
 
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        item = self.list.currentItem()
-        if event is None or event.key() != Qt.Key.Key_Delete or item is None:
-            super().keyPressEvent(event)
-            return
-        self._settings.remove_recent(RECENT, item.text())
-        self.list.takeItem(self.list.row(item))
-
     def _open_simulator(self) -> None:
         self._choose(_SIMULATOR)
         self.activated.emit()
 
     def _selected(self, item: QListWidgetItem | None) -> None:
-        name = "" if item is None else item.text()
-        missing = missing_path(name) if name else None
-        self._choose(name, "" if missing is None else _MISSING.format(missing))
+        self._choose("" if item is None else item.text())
 
     def _chosen(self, paths: list[Path]) -> None:
         try:
