@@ -15,7 +15,7 @@ from PyQt6.QtCore import QObject, QProcess, Qt, pyqtSignal
 from PyQt6.QtWidgets import QCheckBox, QFormLayout, QLabel, QSpinBox, QWidget
 
 from ...core.contact.kernels.threads import available_threads
-from ...core.errors import PresetError, TactuneError, minus
+from ...core.errors import PresetError, TactuneError, counted, minus
 from ...core.preset import Preset
 from ...core.preset.file import save_preset
 from ...core.tuning.plan import Axis, default_axes
@@ -287,7 +287,8 @@ class TuneTab(AnalysisTab):
         request, busy, done = self.run.request, self.run.busy, len(self.run.trials)
         if request is not None and (busy or done):
             now = "Stopping… " if self.run.stopping and busy else "Searching… " if busy else ""
-            words = f"{now}{done} of {request.trials} trials on {request.source}; {len(self.run.front)} best ones"
+            best = counted(len(self.run.front), "best trial")
+            words = f"{now}{done} of {request.trials} trials on {request.source}; {best}"
         else:
             words = _WAITING if source is None else _LIVE if source.length is None else _READY
         failed = sum(bool(trial["failure"]) for trial in self.run.trials.values())

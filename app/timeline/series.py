@@ -22,7 +22,7 @@ import numpy as np
 
 from ...core.contact.kernels.threads import set_threads
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
-from ...core.errors import FrameError, SourceError, TactuneError
+from ...core.errors import FrameError, SourceError, TactuneError, as_sentence
 from ...core.model.arrays import BoolArray, Float64Array
 from ...core.model.frames import SensorFrame
 from ...core.model.metrics import pixel_scores
@@ -122,7 +122,7 @@ def serve_series(orders: Connection) -> None:
                 source = source or open_source(order.source)
                 _compute(source, order, orders)
             except TactuneError as error:
-                problem = str(error)
+                problem = as_sentence(str(error))
             except (EOFError, OSError):
                 raise
             except Exception as error:

@@ -93,6 +93,8 @@ QScrollBar::handle { background: $outline; border-radius: 3px; margin: 3px; min-
 QScrollBar::handle:hover { background: $muted; }
 QScrollBar::add-line, QScrollBar::sub-line { width: 0; height: 0; }
 QScrollBar::add-page, QScrollBar::sub-page { background: none; }
+QProgressBar { background: $base; border: 1px solid $outline; border-radius: 4px; text-align: center; }
+QProgressBar::chunk { background: $border; border-radius: 3px; }
 QTabBar::tab { padding: 4px 8px; border: none; border-bottom: 3px solid transparent; }
 QTabBar::tab:hover { border-bottom-color: $border; }
 QTabBar::tab:selected { border-bottom-color: $accent; }

@@ -66,7 +66,7 @@ class ParameterRow(QObject):
         if self.spec.kind in ("rectangle", "matrix"):
             grid.addWidget(self.widget, line + 1, 1, 1, COLUMNS - 1)
         else:
-            grid.addWidget(self.widget, line, 2)
+            grid.addWidget(self.widget, line, 2, 1, 1 if self.unit.text() or self.spec.kind == "number" else 2)
         self._update_reset()
 
     def set_shown(self, shown: bool) -> None:

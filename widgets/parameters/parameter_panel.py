@@ -76,7 +76,7 @@ class ParameterPanel(QScrollArea):
         self.masked_share, self.alignment_info = _note(), _note()
 
         content = QWidget()
-        self._column = vbox(within=content, margins=4, spacing=8)
+        self._column = vbox(within=content, margins=(4, 4, 0, 4), spacing=8)
         for name, title in SECTIONS:
             self._column.addWidget(self._make_section(name, title, name in suggestible))
         self._column.addStretch(1)
