@@ -9,12 +9,13 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
+from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.layouts import splitter, vbox
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_data import free_cloud
@@ -49,7 +50,8 @@ class TiltTab(LiveTab):
         #: The frame and the tilt on the screen; None before the first frame with a patch.
         self.shown: tuple[Result, Tilt] | None = None
         self.cloud = CloudView("Patch and plane")
-        self.roll, self.pitch, self.axis = QLabel(), QLabel(), QLabel()
+        self.roll, self.pitch = (wrapped_label(verdict=True, selectable=True) for _ in range(2))
+        self.axis = wrapped_label(selectable=True)
         self.plot = Plot("Time, s", "Angle, degrees", movable=True)
         self.plot.setToolTip(
             "Roll and pitch over the time stamps of the frames, with a band of one standard deviation. "
@@ -74,8 +76,6 @@ class TiltTab(LiveTab):
         self.roll.setToolTip("Angle about the camera's x axis: positive where the image's lower edge is farther")
         self.pitch.setToolTip("Angle about the camera's y axis: positive where the image's right edge is nearer")
         self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
-        for label in (self.roll, self.pitch, self.axis):
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         side = QWidget()
         vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
@@ -131,7 +131,7 @@ class TiltTab(LiveTab):
         hints = [f"Frame {result.frame_number} of {result.source.name}"]
         hints += [_NOT_DETERMINED] if len(points) and not len(lines) else []
         if result.preset.noise is None:
-            hints.append("usual noise assumed: see Calibration > Measure noise and bias")
+            hints.append("usual noise assumed: measure it (F6)")
         self.status.setText(" · ".join(hints))
 
     def rows_changed(self) -> None:
