@@ -15,7 +15,7 @@ away from the cameras.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -24,6 +24,8 @@ import numpy as np
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 from .objects import NO_OBJECT, allocating, compiled, distance, normal, to_surface
 
+#: A mesh with fewer columns tears in deep presses.
+_FEWEST_COLUMNS: Final = 56
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
 _FOLDS: Final = 18
 _FOLD_INNER_M: Final = 0.018
@@ -394,22 +396,33 @@ class Membrane:
         self.mesh = build_mesh(self.design)
         self.tolerance = tolerance
         self._direction = np.random.default_rng(0).standard_normal(self.mesh.flat.shape) * self.mesh.free[:, None]
+        #: The same membrane on a mesh half as fine, for first guesses; None where that would be too coarse.
+        self.coarse: Membrane | None = None
+        columns, rows = self.design.cells
+        if columns >= 2 * _FEWEST_COLUMNS:
+            self.coarse = Membrane(replace(self.design, cells=(columns // 4 * 2, rows // 4 * 2)), tolerance)
         self.rest = self._inflate()
 
     def press(
-        self, kind: int, pose: Float64Array, start: Float64Array | None = None, held: Float64Array | None = None
+        self,
+        kind: int,
+        pose: Float64Array,
+        start: Float64Array | None = None,
+        held: Float64Array | None = None,
+        tolerance: float | None = None,
     ) -> MembraneState:
         """Solve the contact problem with an object whose pose (3, 4) takes points of the membrane's frame to its own.
 
         ``start``, (N, 3), is the first guess, by default the untouched membrane. ``held``, (N, 3), are places on the
-        object where nodes stick while they touch; NaN for nodes that slide, as all do by default.
+        object where nodes stick while they touch; NaN for nodes that slide, as all do by default. ``tolerance`` is that
+        of the residual, by default the membrane's own.
         """
         nodes = self.rest.nodes if start is None else start
         thing = _Object(kind, pose, self.mesh.relief_m)
         grips = _Grips(np.full_like(nodes, np.nan) if held is None else held.copy(), np.full_like(nodes, np.nan))
         sticks = ~np.isnan(grips.point[:, 0])
         grips.normal[sticks] = _lay(thing, grips.point, sticks)
-        return self._solve(thing, nodes, grips, self.tolerance, _MAX_ITERATIONS)
+        return self._solve(thing, nodes, grips, tolerance or self.tolerance, _MAX_ITERATIONS)
 
     @property
     def _sheet(self) -> _Sheet:
@@ -447,13 +460,18 @@ class Membrane:
     def _inflate(self) -> MembraneState:
         """Find the amount of air, in p V, that lifts the apex to the design's height, by the secant rule."""
         design = self.design
-        x, y = 2 * self.mesh.flat[:, 0] / design.width_m, 2 * self.mesh.flat[:, 1] / design.height_m
-        nodes = self.mesh.flat.copy()
-        nodes[:, 2] = design.apex_m * (1 - x * x) * (1 - y * y)
+        if self.coarse is not None:
+            nodes = self.interpolated(self.coarse, self.coarse.rest.nodes)
+            amounts = [self.coarse._gas_joule, 1.0001 * self.coarse._gas_joule]
+        else:
+            x, y = 2 * self.mesh.flat[:, 0] / design.width_m, 2 * self.mesh.flat[:, 1] / design.height_m
+            nodes = self.mesh.flat.copy()
+            nodes[:, 2] = design.apex_m * (1 - x * x) * (1 - y * y)
+            dome = 0.55 * design.apex_m * design.width_m * design.height_m + design.dead_volume_m3
+            amounts = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)]
+        errors: list[float] = []
         nothing = _Object(NO_OBJECT, np.zeros((3, 4)), self.mesh.relief_m)
         no_grips = _Grips(np.full_like(nodes, np.nan), np.full_like(nodes, np.nan))
-        dome = 0.55 * design.apex_m * design.width_m * design.height_m + design.dead_volume_m3
-        amounts, errors = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)], list[float]()
         for _ in range(12):
             self._gas_joule = amounts[len(errors)]
             state = self._solve(nothing, nodes, no_grips, self.tolerance / 10, 20_000)
@@ -465,6 +483,12 @@ class Membrane:
                 slope = (errors[-1] - errors[-2]) / (amounts[-1] - amounts[-2])
                 amounts.append(amounts[-1] - errors[-1] / slope)
         return state
+
+    def interpolated(self, other: Membrane, nodes: Float64Array) -> Float64Array:
+        """Return the nodes of the same membrane on another mesh, interpolated at this mesh's, (N, 3)."""
+        nodes = other.at(self.mesh.flat[:, :2], nodes)
+        nodes[~self.mesh.free] = self.mesh.flat[~self.mesh.free]
+        return nodes
 
     def gradient(self, nodes: Float64Array) -> Float64Array:
         """Return the gradient of the total energy at any nodes, (N, 3), newtons."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -44,8 +44,8 @@ from .scenes import Scene, Step
 APEX_M: Final = 0.314
 #: Distance of the rim, which is the same for all membranes, metres.
 RIM_M: Final = APEX_M - MembraneDesign.apex_m
-#: A mesh with fewer columns tears in deep presses.
-_FEWEST_COLUMNS: Final = 56
+#: Tolerance of steps that only lead to another, if nothing sticks, over the membrane's own.
+_LOOSE: Final = 10.0
 #: A node of the fine mesh touches where this share of the coarse nodes around it do.
 _TOUCHING_SHARE: Final = 0.999
 #: Far wall behind the sensor, as n . x = d in the membrane's frame.
@@ -176,30 +176,28 @@ class Press:
             if depth <= 0.0:
                 state = self.membrane.rest
             else:
-                state = _follow(self.membrane, self.pressed.kind, pose, before, held)
+                state = _follow(self.membrane, self.pressed.kind, pose, before, held, self.membrane.tolerance)
                 before, held = [*before[-1:], state.nodes], self._held(state, number)
             if number in drawn:
                 yield depth, pose, state
 
     def _led_to(self, first: int) -> tuple[list[Float64Array], Float64Array | None]:
         """Return the fine nodes, interpolated, of the coarse membrane at a step, and where they stick then."""
-        design, fine = self.membrane.design, self.membrane.mesh
         if first == 0:
             return [], None
-        columns, rows = design.cells  # half as many along each side, but enough for deep presses
-        cells = (columns // 4 * 2, rows // 4 * 2) if columns >= 2 * _FEWEST_COLUMNS else design.cells
-        coarse = Membrane(replace(design, cells=cells))
+        fine = self.membrane
+        coarse = fine.coarse or fine
         before: list[Float64Array] = []
         held = None
         for number, step in enumerate(self.scene.way[: first + 1]):
-            state = _follow(coarse, self.pressed.kind, self.pose(step), before, held)
+            loose = 1.0 if number == first or fine.design.sticks else _LOOSE
+            state = _follow(coarse, self.pressed.kind, self.pose(step), before, held, loose * coarse.tolerance)
             before, held = [*before[-1:], state.nodes], self._held(state, number)
-        nodes = coarse.at(fine.flat[:, :2], state.nodes)
-        nodes[~fine.free] = fine.flat[~fine.free]
-        if not design.sticks:
+        nodes = fine.interpolated(coarse, state.nodes)
+        if not fine.design.sticks:
             return [nodes], None
         touching = np.repeat((state.reaction_n > 0.0)[:, None].astype(np.float64), 3, axis=1)
-        share = coarse.at(fine.flat[:, :2], touching)
+        share = coarse.at(fine.mesh.flat[:, :2], touching)
         return [nodes], np.where(share > _TOUCHING_SHARE, nodes, np.nan)
 
     def _held(self, state: MembraneState, number: int) -> Float64Array | None:
@@ -272,14 +270,19 @@ def _counts(depth_m: Float32Array) -> Uint16Array:
 
 
 def _follow(
-    membrane: Membrane, kind: int, pose: Float64Array, before: list[Float64Array], held: Float64Array | None
+    membrane: Membrane,
+    kind: int,
+    pose: Float64Array,
+    before: list[Float64Array],
+    held: Float64Array | None,
+    tolerance: float,
 ) -> MembraneState:
     """Solve the next step from an extrapolated guess, or from the last state where the extrapolation fails."""
     guesses: list[Float64Array | None] = [2 * before[-1] - before[-2]] if len(before) > 1 else []
     guesses.append(before[-1] if before else None)
     for guess in guesses:
-        state = membrane.press(kind, pose, guess, held=held)
-        if state.residual < membrane.tolerance:
+        state = membrane.press(kind, pose, guess, held, tolerance)
+        if state.residual < tolerance:
             break
     return state
 
