@@ -192,8 +192,6 @@ def _convert_recording(
             )
         if opened.health().message:
             warn(opened.health().message)
-        if isinstance(opened, McapSource) and opened.has_poses:
-            warn(f"the poses of the object in {opened.name} were not written; tactune track computes them again")
     say(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
 
 

@@ -6,16 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING
 
 from ...core.errors import FrameError, TactuneError
 from ...core.model.frames import Rig, SensorFrame
 from ...core.output.writer import RecordingStatus, SessionWriter
 from ...core.preset import Preset
 from .errors import explain
-
-if TYPE_CHECKING:
-    from ...core.estimation.pose import PoseEstimate
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ class Recorder:
                 return
             options = {"preset": preset, "frame_rate_hz": frame_rate_hz, "untouched": self.untouched}
             try:
-                self._writer = self._open(path, rig, **options, poses=True)
+                self._writer = self._open(path, rig, **options)
                 self._refused = 0
             except OSError as error:
                 raise TactuneError(
@@ -100,11 +96,6 @@ class Recorder:
                     problem = explain(error, f"frame {number} could not be recorded")
         if problem:
             self.stop(problem)
-
-    def put_pose(self, pose: PoseEstimate) -> None:
-        with self._lock:
-            if self._writer is not None:
-                self._writer.put_pose(pose.T_proximity_object, pose.covariance, pose.sequence, pose.time_s)
 
     def stop(self, reason: str = "") -> None:
         """Stop recording and finish the file; ``ended`` is called when that is done."""

@@ -116,10 +116,9 @@ class Worker(QThread):
         self._orders.put(lambda: setattr(self, "_redo", True))  # a paused frame is published, too
 
     def put_pose(self, pose: PoseEstimate) -> None:
-        """Publish and record the pose of a tracked object that is not lost, while publishing or recording runs."""
+        """Publish the pose of a tracked object that is not lost, while publishing runs."""
         if (publisher := self._publisher) is not None:
             publisher.put_pose(pose.T_proximity_object, pose.covariance, pose.time_s)
-        self.recorder.put_pose(pose)  # last: it waits where the disk is slow
 
     def set_wanted(self, wanted: Wanted) -> None:
         self._orders.put(lambda: self._change("_wanted", wanted))

@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
@@ -221,8 +220,6 @@ Results = Callable[[SensorFrame], Mapping[str, bytes]]
 #: Memory limit of the queue: about two seconds of a full rig; one frame is always accepted.
 _QUEUE_BYTES = 256 * 2**20
 
-#: Frames that may still get a pose; a pose that comes later is not kept.
-_AWAITING_POSE = 300
 #: Time between two writes to the disk, which a power failure may lose; a killed process loses the queue only.
 _SYNC_EVERY_S = 2.0
 
@@ -257,8 +254,6 @@ class SessionWriter:
         The source's rate, for playback.
     untouched : SensorFrame, optional
         A frame of the untouched membrane, kept in the file.
-    poses : bool
-        Whether there may be poses of an object.
     results : callable, optional
         Returns patch and findings of each frame; called on the writing thread.
 
@@ -276,18 +271,16 @@ class SessionWriter:
         preset: Preset | None = None,
         frame_rate_hz: float = 30.0,
         untouched: SensorFrame | None = None,
-        poses: bool = False,
         results: Results | None = None,
     ) -> None:
-        self._rig, self._preset, self._has_poses, self._results = rig, preset, poses, results
+        self._rig, self._preset, self._results = rig, preset, results
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
         attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
         self._bag = BagWriter(path, self._topics(), rig, preset, frame_rate_hz, attachments)
-        self._queue: deque[tuple[Callable[[], None], int]] = deque()
+        self._queue: deque[tuple[SensorFrame, int]] = deque()
         self._waiting_bytes = 0
         self._changed = threading.Condition()
-        self._awaiting_pose: deque[int] = deque(maxlen=_AWAITING_POSE)
         self._closing = False
         self._accepted = self._frames = self._dropped = 0
         self._first_ns = self._last_ns = 0
@@ -307,20 +300,11 @@ class SessionWriter:
             if self._error or self._closing or not self._has_room(size):
                 self._dropped += 1
                 return False
-            self._queue.append((partial(self._write, frame), size))
-            self._awaiting_pose.append(frame.sequence)
+            self._queue.append((frame, size))
             self._accepted += 1
             self._waiting_bytes += size
             self._changed.notify_all()
         return True
-
-    def put_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        """Queue the pose of an object, (4, 4), and its covariance, (6, 6), if it comes soon after its frame."""
-        with self._changed:
-            if sequence in self._awaiting_pose and not self._error and not self._closing:
-                self._awaiting_pose.remove(sequence)
-                self._queue.append((partial(self._write_pose, pose, covariance, sequence, time_s), 0))
-                self._changed.notify_all()
 
     def status(self) -> RecordingStatus:
         with self._changed:
@@ -349,7 +333,6 @@ class SessionWriter:
 
     def _topics(self) -> dict[str, str]:
         topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
-        topics |= POSE_TOPICS if self._has_poses else {}
         topics |= {**topics_of(self._preset), Topic.FINDINGS: TEXT} if self._results is not None else {}
         for stream in self._streams.values():
             topics[stream.topic] = IMAGE
@@ -394,23 +377,23 @@ class SessionWriter:
 
     def _write_frames(self) -> None:
         synced_s = time.monotonic()
-        while (write := self._next()) is not None:
-            write()
+        while (frame := self._next()) is not None:
+            self._write(frame)
             if time.monotonic() - synced_s > _SYNC_EVERY_S:
                 self._bag.sync()
                 synced_s = time.monotonic()
 
-    def _next(self) -> Callable[[], None] | None:
-        """Wait for what writes a frame or a pose; None when the recording is closed and all are written."""
+    def _next(self) -> SensorFrame | None:
+        """Wait for a frame; None when the recording is closed and all are written."""
         with self._changed:
             while not self._queue and not self._closing:
                 self._changed.wait()
             if not self._queue:
                 return None
-            write, size = self._queue.popleft()
+            frame, size = self._queue.popleft()
             self._waiting_bytes -= size
             self._changed.notify_all()
-            return write
+            return frame
 
     def _write(self, frame: SensorFrame) -> None:
         proximity_ns, tactile_ns = nanoseconds(frame.proximity_time_s), nanoseconds(frame.tactile_time_s)
@@ -433,12 +416,6 @@ class SessionWriter:
             self._first_ns = self._first_ns if self._frames else log_ns
             self._last_ns = log_ns
             self._frames += 1
-
-    def _write_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        stamp_ns = nanoseconds(time_s)
-        parts = pose_parts(pose, covariance, stamp_ns)
-        messages: list[Message] = [(topic, stamp_ns, (data,)) for topic, data in parts.items()]
-        self._bag.write(sequence, self._last_ns, messages)
 
 
 def export_mcap(

@@ -107,10 +107,6 @@ class McapSource(RecordedSource):
         except FrameError as error:
             raise SourceError(f"{self._path}: its untouched frame is damaged ({error}); capture it again") from error
 
-    @property
-    def has_poses(self) -> bool:
-        return Topic.OBJECT_POSE in self._bag.kinds
-
     def _frame(self, index: int, proximity: Shot | None, tactile: Shot) -> SensorFrame:
         """Return a frame with what is recorded beside its images: its number, its times and the truth."""
         rig, sequence, truth = self._rig, index, None

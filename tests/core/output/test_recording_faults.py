@@ -5,13 +5,11 @@ import random
 import threading
 import time
 
-import numpy as np
 import pytest
 
 from tactune.core.errors import AdviceError, SourceError
 from tactune.core.output.writer import BagWriter, SessionWriter
-from tactune.core.sources.ros.mcap import MAGIC, McapBag
-from tactune.core.sources.ros.messages import Topic
+from tactune.core.sources.ros.mcap import MAGIC
 from tactune.core.sources.tactune_files import McapSource
 
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
@@ -118,15 +116,3 @@ def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same
     assert (status.frames, status.dropped) == (4, before + 2)
     kept = [frames[0], frames[1], *frames[4:]]
     assert plays(tmp_path / "slow.mcap", kept, same_frame) == 4
-
-
-def test_a_recording_keeps_one_pose_of_each_of_its_frames(tmp_path, rig, make_frames):
-    path, frame = tmp_path / "poses.mcap", make_frames(1)[0]
-    with SessionWriter(path, rig, poses=True) as writer:
-        writer.put_pose(np.eye(4), np.eye(6), frame.sequence, 0.0)  # of a frame that is not there yet
-        writer.put(frame, wait=True)
-        for sequence in (frame.sequence, frame.sequence, frame.sequence + 1):
-            writer.put_pose(np.eye(4), np.eye(6), sequence, 0.0)
-    file = McapBag(path)
-    assert file.count(Topic.OBJECT_POSE) == 1
-    file.close()
