@@ -224,8 +224,11 @@ def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
 
 
 @contextmanager
-def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[FrameSource]:
-    """Open a source, live cameras as a preset says, and warn where preset and rig do not match or frames were lost."""
+def open_with_progress(name: str, preset: Preset | None = None, *, compiles: bool = False) -> Iterator[FrameSource]:
+    """Open a source, live cameras as a preset says, and warn where preset and rig do not match or frames were lost.
+
+    ``compiles`` what the first frame of the preset would wait for; live frames that are lost meanwhile do not count.
+    """
     from ...core.sources.registry import open_source
 
     with CliProgress() as progress:
@@ -235,6 +238,12 @@ def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[Fram
     with source:
         if preset is not None:
             warn(*check_rig(preset, source.rig))
+            if compiles:
+                # after a wrong source was told: the compiler takes half of the time in which it is
+                from ...core.warmup import warm_up_if_needed
+
+                with CliProgress() as progress:
+                    warm_up_if_needed(progress.preparing, preset)
         lost_before = source.health().dropped
         try:
             yield source
@@ -246,15 +255,10 @@ def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[Fram
 @contextmanager
 def open_pipeline(name: str, preset: Preset, origin: str) -> Iterator[tuple[FrameSource, ContactPipeline]]:
     """Open a source for a preset of this origin, and compile what the first frame would wait for."""
-    with open_with_progress(name, preset) as source:
-        # after a wrong source was told: the compiler takes half of the time in which it is
+    with open_with_progress(name, preset, compiles=True) as source:
         from ...core.contact.pipeline import ContactPipeline
-        from ...core.warmup import warm_up_if_needed
 
-        with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing, preset)
-            untouched = untouched_for(preset, origin, source)
-        yield source, ContactPipeline(preset, source.rig, untouched)
+        yield source, ContactPipeline(preset, source.rig, untouched_for(preset, origin, source))
 
 
 def untouched_for(preset: Preset, origin: str, source: FrameSource) -> SensorFrame | None:

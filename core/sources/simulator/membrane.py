@@ -401,6 +401,7 @@ class Membrane:
         columns, rows = self.design.cells
         if columns >= 2 * _FEWEST_COLUMNS:
             self.coarse = Membrane(replace(self.design, cells=(columns // 4 * 2, rows // 4 * 2)), tolerance)
+        self._gas_joule = 0.0  # p V, found next
         self.rest = self._inflate()
 
     def press(
