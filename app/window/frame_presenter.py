@@ -140,11 +140,12 @@ class FramePresenter(QObject):
             self._strip.set_images(strip, None if compared is None else compared.b.rendered.strip)
         histogram = result.rendered.histogram
         if histogram is not None:  # the worker counts less often than frames come
-            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges)
+            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, histogram.known)
         shown_fps = self._status.show_result(result)
         if self._pace.due(result):
             readings = patch_readings(result, shown_fps) if compared is None else ()
             self._views.views[CloudName.PATCH].set_readings(readings)
+            self._panel.set_median_distance_m(result.rendered.median_distance_m)
             if strip is not None:  # else it is drawn with a later frame
                 self._panel.show_masked_share(strip.masked_share)
             self._show_readout()

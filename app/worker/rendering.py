@@ -172,7 +172,7 @@ class Renderer:
     def __init__(self) -> None:
         self._rig: Rig | None = None
         self._ranges_m: dict[str, tuple[float, float]] = {}
-        self._pressure_top = 1.0
+        self._median_m, self._pressure_top = float("nan"), 1.0
         self._last_clouds: dict[CloudName, DepthCloud | None] = {}
         self._counts: dict[CloudName, int] = {}
         self._doubtful = False
@@ -215,6 +215,7 @@ class Renderer:
             color_by=color_by,
             strip=draw_strip(scene, wanted) if wanted.images else None,
             histogram=histogram_of(patch, preset, wanted.histograms) if patch else None,
+            median_distance_m=self._median_m,
             depth_range_m=depth_range_m,
             tactile_range_m=tactile_range_m,
             pressure_scale=(self._pressure_top, pressure.inflation_pa if pressure is not None else 0.0),
@@ -244,14 +245,15 @@ class Renderer:
         return cloud
 
     def measure(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
-        """Take a frame's depths into the ranges of the colours."""
+        """Take a frame's depths into the ranges of the colours, and keep the membrane's median distance."""
         if rig is not self._rig:
             self._rig, self._ranges_m, self._pressure_top = rig, {}, 1.0
         sample_m = membrane_sample_m(frame, preset, rig)
+        self._median_m = float("nan")
         if not len(sample_m):
             return
         # Along the tactile axis the membrane is not tilted, so its own depth decides on the reserve of both ranges.
-        low, high = _quantiles(sample_m, *_ENDS)
+        low, self._median_m, high = _quantiles(sample_m, _ENDS[0], 0.5, _ENDS[1])
         seen_by_proximity_m = _quantiles(membrane_along_proximity_m(frame, preset, rig, sample_m), *_ENDS)
         span_m = max(high - low, _SMALLEST_SPAN_M)
         for camera, ends_m in (("proximity", seen_by_proximity_m), ("tactile", (low, high))):
@@ -413,9 +415,9 @@ def _counted(field: str, image: Float32Array, low: float, high: float, bins: int
     values, edges = image[::2, ::2], np.linspace(low, high, bins + 1)
     values = values[np.isfinite(values)]
     if len(values) == 0:
-        return Histogram(field, np.zeros(bins, np.int64), edges)
+        return Histogram(field, np.zeros(bins, np.int64), edges, 0)
     counts = cv2.calcHist([values[None]], [0], None, [bins], [low, high])
-    return Histogram(field, counts.ravel().astype(np.int64), edges)
+    return Histogram(field, counts.ravel().astype(np.int64), edges, len(values))
 
 
 def _relief(scene: Scene) -> Uint8Array:

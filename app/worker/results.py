@@ -91,11 +91,12 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Counts of what a preset field limits, in its unit."""
+    """Counts of what a preset field limits, in its unit; ``known`` values include those beyond the edges."""
 
     field: str
     counts: Int64Array
     edges: Float64Array
+    known: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,7 @@ class Rendered:
     color_by: ColorBy = ColorBy.CONTACT
     strip: RenderedStrip | None = None
     histogram: Histogram | None = None
+    median_distance_m: float = float("nan")
     depth_range_m: tuple[float, float] = (0.0, 1.0)
     tactile_range_m: tuple[float, float] = (0.0, 1.0)
     pressure_scale: tuple[float, float] = (1.0, 0.0)

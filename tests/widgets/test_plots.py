@@ -36,12 +36,14 @@ def drag(histogram, start, *targets):
     QTest.mouseRelease(viewport, LEFT, pos=bar_at(histogram, targets[-1]))
 
 
-def test_what_lies_within_the_lines_is_lit(histogram):
-    histogram.set_data(np.full(40, 20), EDGES)
-    bars = histogram.plot_widget.getPlotItem().listDataItems()
-    assert [item.yData.sum() for item in bars] == [800, 240]
+def test_the_caption_tells_the_share_within_the_lines(histogram):
+    assert "%" not in histogram.caption()
+    histogram.set_data(np.full(40, 20), EDGES, known=1000)
+    assert histogram.caption() == "24.0 % within t"  # 12 of 40 bars, and 200 values beyond them
+    assert [item.yData.sum() for item in histogram.plot_widget.getPlotItem().listDataItems()] == [800, 240]
     drag(histogram, 3.0, 6.0)
-    assert bars[1].yData.sum() == pytest.approx(480, abs=20)
+    share = float(histogram.caption().split()[0])
+    assert share == pytest.approx(48, abs=2)
 
 
 def test_the_scale_stays_while_a_line_is_dragged(histogram):

@@ -64,6 +64,7 @@ class ParameterPanel(QScrollArea):
     def __init__(self, suggestible: Collection[str] = ()) -> None:
         super().__init__()
         self._preset = Preset()
+        self._median_m = float("nan")
         self.rows: dict[str, ParameterRow] = {}
         self.forms: dict[str, Form] = {}
         self.sections: dict[str, CollapsibleSection] = {}
@@ -73,7 +74,7 @@ class ParameterPanel(QScrollArea):
         tip = "Tint what the mask covers in the colour image"
         self.show_mask = _bar_button("Show", tip, "Show mask")
         self.histograms: dict[str, LimitHistogram] = {}
-        self.masked_share, self.alignment_info = _note(), _note()
+        self.masked_share, self.alignment_info, self.tolerance_mm = (_note() for _ in range(3))
 
         content = QWidget()
         self._column = vbox(within=content, margins=(4, 4, 0, 4), spacing=8)
@@ -146,9 +147,15 @@ class ParameterPanel(QScrollArea):
         if self.rows[path].spec.advanced:
             self.forms[_section_of(path)].more.fold(False)
 
-    def set_histogram(self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating]) -> None:
+    def set_median_distance_m(self, distance_m: float) -> None:
+        """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
+        if distance_m != self._median_m:
+            self._median_m = distance_m
+            self._show_tolerance_mm()
+
+    def set_histogram(self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], known: int) -> None:
         """Show what the field at ``path`` limits in the latest frame; parameters as of `LimitHistogram.set_data`."""
-        self.histograms[path].set_data(counts, edges)
+        self.histograms[path].set_data(counts, edges, known)
 
     def open_histograms(self) -> frozenset[str]:
         return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].button.is_folded)
@@ -229,6 +236,9 @@ class ParameterPanel(QScrollArea):
     def _add_below(self, spec: FieldSpec, form: Form) -> None:
         if spec.path == "alignment.model":
             form.add_line(self.alignment_info)
+        if spec.path == "tolerance.t":
+            self.tolerance_mm.setAlignment(Qt.AlignmentFlag.AlignRight)
+            form.add_line(self.tolerance_mm)
         if spec.path in _HISTOGRAMS:
             histogram = self.histograms[spec.path] = LimitHistogram(_HISTOGRAMS[spec.path], spec.default)
             histogram.limitEdited.connect(lambda limit, gesture: self._histogram_dragged(spec.path, limit, gesture))
@@ -300,6 +310,7 @@ class ParameterPanel(QScrollArea):
         for path, histogram in self.histograms.items():
             histogram.set_limit(self.rows[path].editor.value())
         self._enable_eyedroppers()
+        self._show_tolerance_mm()
         self._paint_mask_colors()
 
     def _enable_eyedroppers(self) -> None:
@@ -310,6 +321,12 @@ class ParameterPanel(QScrollArea):
         expand.setEnabled(mask_on and pick.isEnabled())
         if not mask_on and expand.isChecked():
             self._choose_eyedropper("off")
+
+    def _show_tolerance_mm(self) -> None:
+        known = np.isfinite(self._median_m) and self._median_m > 0
+        t = self.rows["tolerance.t"].editor.value()
+        self.tolerance_mm.setText(f"= {t * self._median_m * 1000:.1f} mm at {self._median_m:.3f} m" if known else "")
+        self.tolerance_mm.setVisible(bool(known))
 
     def _paint_mask_colors(self) -> None:
         """Show on the mask's sliders the colours that their positions mean, at the centre of the other two ranges."""

@@ -60,6 +60,7 @@ class LimitHistogram(QWidget):
         self._limit = limit
         self._counts: Float64Array = np.zeros(1)
         self._edges: Float64Array = np.array([-limit if quantity.symmetric else 0.0, limit])
+        self._known = 0
         self._stale = False
         self._clock = GestureClock()
         self.plot_widget = Plot(unit=quantity.unit)
@@ -87,8 +88,9 @@ class LimitHistogram(QWidget):
         self._place_lines()
         self.plot_widget.follow_theme(self._recolor)
 
-    def set_data(self, counts: AnyArray, edges: npt.NDArray[np.floating]) -> None:
-        """Show counts, (N,), between increasing edges, (N + 1,)."""
+    def set_data(self, counts: AnyArray, edges: npt.NDArray[np.floating], known: int = 0) -> None:
+        """Show counts, (N,), between increasing edges, (N + 1,); ``known`` counts the values beyond them too."""
+        self._known = known
         self._counts = np.asarray(counts, dtype=np.float64)
         self._edges = np.asarray(edges, dtype=np.float64)
         self._draw()
@@ -140,6 +142,15 @@ class LimitHistogram(QWidget):
         if not self._dragging():  # a scale that moved under the mouse would run away with the line
             self._plot.getViewBox().setXRange(-reach if symmetric else -0.01 * reach, reach, padding=0)
         self._plot.getViewBox().setYRange(0.0, tallest, padding=0)
+        self._caption.setText(self.caption())
+
+    def caption(self) -> str:
+        """Return the share of all values within both lines, else the quantity."""
+        if not (self._quantity.symmetric and self._known):
+            return self._quantity.caption
+        counted = np.concatenate([[0.0], np.cumsum(self._counts)])
+        low, high = np.interp((-self._limit, self._limit), self._edges, counted)
+        return f"{100 * (high - low) / self._known:.1f} % within t"
 
     def _recolor(self, colors: ThemeColors) -> None:
         self._caption.setColor(colors.muted)
