@@ -193,5 +193,11 @@ def _print_front(plan: Plan, found: Sequence[Trial], front: Sequence[Trial]) -> 
         figures = {name: trial.figures[name] for name in plan.objectives}
         rows.append({"trial": number, **figures, **{axis.path: trial.values[axis.path] for axis in plan.axes}})
     say(table_text(rows))
+    for axis in plan.axes:
+        best, given = front[0].values[axis.path], axis.values or (axis.low, axis.high)
+        numbers = sorted(value for value in given if type(value) in (int, float))
+        if len(numbers) > 1 and best in (numbers[0], numbers[-1]):
+            end = "smallest" if best == numbers[0] else "largest"
+            say(f"The best {axis.path}, {best:g}, is the {end} one that was allowed.")
     if failed := [trial for trial in found if trial.failure]:
         warn(f"{counted(len(failed), 'trial')} failed, such as: {failed[0].failure}")

@@ -70,6 +70,11 @@ def test_without_truth_the_most_stable_is_best_and_what_finds_nothing_is_not(tun
     assert "no trial found any contact" in tune("-s", blind, *nothing, "--study", "n.log").sentence
 
 
+def test_a_best_value_at_the_end_of_its_range_is_said(tune, recording):
+    done = tune("-s", recording, "--set", "tolerance.t=0.002,0.003,0.004", "--objective", "iou")
+    assert "The best tolerance.t, 0.004, is the largest one that was allowed." in done.out
+
+
 @pytest.mark.parametrize(("text", "expected"), [("2", [0, 1]), ("1:4", [1, 2]), ("::2", [0, 2])])
 def test_frames_as_people_write_them(tune, recording, tmp_path, text, expected):
     words = ("--set", "tolerance.t=0.007", "--objective", "iou", "--json")
