@@ -60,7 +60,7 @@ def warm_up_if_needed(progress: Progress, preset: Preset | None = None) -> None:
 def warm_up_test(preset: Preset, progress: Progress) -> None:
     """Compile the kernels of a preset's contact test, and no others; tells before the first kernel and after each."""
     test, averages = preset.contact_test, preset.averaged_frames > 1
-    total = _KERNELS[test] + _AVERAGE_KERNELS * averages
+    total = _KERNELS.get(test, 1) + _AVERAGE_KERNELS * averages
 
     def tell(done: int) -> None:
         number = min(done + 1, total)  # other threads may compile something else meanwhile

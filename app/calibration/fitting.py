@@ -64,7 +64,7 @@ class Outcome:
         return frozenset() if self.report is None else frozenset(self.report.chosen.excluded)
 
     @property
-    def worst(self) -> frozenset[str]:
+    def standing_out(self) -> frozenset[str]:
         """Ids of the pairs that stand out."""
         return frozenset() if self.report is None else self.report.chosen.standing_out
 
@@ -141,7 +141,7 @@ def image_marks(
 ) -> list[Mark]:
     """Return the marks of one image: pairs of the current snapshot, or of all, clicked in images with its pixels."""
     marks = []
-    few, fits, worst = len(state.pairs) <= _MAX_LABELS, outcome.fits, outcome.worst
+    few, fits, standing_out = len(state.pairs) <= _MAX_LABELS, outcome.fits, outcome.standing_out
     for pair in state.pairs:
         place = pair.place(side)
         if place is None or not (everywhere or pair.snapshot in {None, state.number}):
@@ -151,10 +151,10 @@ def image_marks(
         fit = fits.get(pair.id)
         arrow = (-fit.dx, -fit.dy) if side == "proximity" and fit is not None and isfinite(fit.dx) else None
         kind = MarkKind.POINT if pair.complete else MarkKind.PENDING
-        if pair.complete and (not pair.enabled or pair.id in worst):
-            kind = MarkKind.WORST if pair.enabled else MarkKind.OFF
+        if pair.complete and (not pair.enabled or pair.id in standing_out):
+            kind = MarkKind.STANDING_OUT if pair.enabled else MarkKind.OFF
         chosen = pair.id in selected
-        label = pair.id if few or chosen or kind is MarkKind.WORST else ""
+        label = pair.id if few or chosen or kind is MarkKind.STANDING_OUT else ""
         marks.append(Mark(pair.id, *place, label, kind, chosen, arrow))
     return marks
 

@@ -281,7 +281,7 @@ class PointRow:
 
 
 def table_rows(state: SessionState, outcome: Outcome) -> list[PointRow]:
-    fits, worst = outcome.fits, outcome.worst
+    fits, standing_out = outcome.fits, outcome.standing_out
     rows = []
     for pair in state.pairs:
         fit = fits.get(pair.id, PairQuality(pair.id))
@@ -295,9 +295,9 @@ def table_rows(state: SessionState, outcome: Outcome) -> list[PointRow]:
             note = "No depth under the right point: only the homography can use this pair; move the point a few pixels"
         elif pair.id in fits and not fit.used:
             note = "Rejected, because the others contradict it; check both points"
-        elif pair.id in worst:
+        elif pair.id in standing_out:
             note = "The residual is large; check both points, or disable the pair"
-        rows.append(PointRow(pair, fit, note, pair.id in worst))
+        rows.append(PointRow(pair, fit, note, pair.id in standing_out))
     return rows
 
 

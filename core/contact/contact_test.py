@@ -110,6 +110,8 @@ class ContactTest(ABC):
         For verdicts on points that were near the object.
     frames_field : str
         The field with the number of averaged frames; empty for a test that uses single frames.
+    smallest_field : str
+        The field with the smallest contact, in mm2.
     unmasked_note, homography_note : str
         What to say of a preset that uses the test without the mask, or with a homography; empty for nothing.
     moves_points : bool
@@ -127,6 +129,7 @@ class ContactTest(ABC):
     looser_words: ClassVar[str]
     drop_reasons: ClassVar[Mapping[Provenance, DropReason]]
     frames_field: ClassVar[str] = ""
+    smallest_field: ClassVar[str]
     unmasked_note: ClassVar[str] = ""
     homography_note: ClassVar[str] = ""
     moves_points: ClassVar[bool] = False

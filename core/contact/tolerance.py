@@ -100,6 +100,7 @@ class ToleranceTest(ContactTest):
     }
     summary = "a pixel is in contact where both distances agree within t, as published."
     note = "Each pixel by itself, as published."
+    smallest_field = "outliers.min_cluster_area_mm2"
     looser_words = "raise the tolerance t"
     drop_reasons = {
         Provenance.MASKED: MASK_REASON,

@@ -29,7 +29,7 @@ class MarkKind(StrEnum):
     """Meaning of a mark; each has a colour that is legible on any image."""
 
     POINT = "point"
-    WORST = "worst residual"
+    STANDING_OUT = "stands out"
     OFF = "switched off"
     PENDING = "waiting for its partner"
     GHOST = "predicted"
@@ -37,7 +37,7 @@ class MarkKind(StrEnum):
 
 COLORS: Final = {
     MarkKind.POINT: QColor(64, 196, 255),
-    MarkKind.WORST: QColor(255, 92, 80),
+    MarkKind.STANDING_OUT: QColor(255, 92, 80),
     MarkKind.OFF: QColor(176, 176, 176),
     MarkKind.PENDING: QColor(255, 214, 10),
     MarkKind.GHOST: QColor(255, 214, 10),

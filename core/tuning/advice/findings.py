@@ -46,11 +46,6 @@ _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
 _BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
 #: The tolerance fits the noise between these multiples of what it asks for.
 _FIT: Final = (0.5, 3.0)
-_SMALLEST: Final = {
-    "membrane": "membrane.min_area_mm2",
-    "tolerance": "outliers.min_cluster_area_mm2",
-    "pressure": "pressure.min_area_mm2",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +282,7 @@ def false_contact(it: Situation) -> Finding | None:
     largest_px, places = max(len(each.members) for each in patch.contacts), counted(len(patch.contacts), "place")
     largest_mm2 = 1e6 * largest_px * depth_m**2 / (lens.fx * lens.fy)
     sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
-    field = _SMALLEST[it.preset.contact_test]
+    field = it.preset.test.smallest_field
     smallest_mm2 = float(math.ceil(_MARGIN * largest_mm2))
     if smallest_mm2 > _MAX_SMALLEST_MM2:
         return Finding("false_contact", field, sentence, action="measure_noise")

@@ -114,7 +114,7 @@ def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, fra
     outcome = fit(state, scene.rig)
     report = outcome.report
     assert not report.chosen.excluded
-    assert outcome.worst == {"7", "18"}
+    assert outcome.standing_out == {"7", "18"}
     assert "Click pairs" in report.verdict
     assert {"7", "18"} == set(report.verdict.split("Click pairs ")[1].split(" again")[0].split(" and "))
 
