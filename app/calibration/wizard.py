@@ -38,7 +38,6 @@ _TIPS = (
 )
 _SAVE = STEPS.index("Save")
 _WORSE = "The present alignment is expected to be better than the new one."
-#: The fields of the preset that a calibration sets.
 _POINTS = "Points (*.csv)"
 
 
