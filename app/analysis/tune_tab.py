@@ -56,8 +56,8 @@ _LIVE = "A live source is never the same twice: record it first, then open the r
 _PANEL_WIDTH = 300
 #: Exit status after a stop by the person.
 _STOPPED = 130
-#: Longest wait for the process when the window closes, ms.
-_END_MS = 2000
+#: Longest wait for the killed process when the window closes, ms; at its low priority it ends seconds later.
+_END_MS = 30_000
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from PyQt6.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from contrast import contrast_ratio
+from colour_vision import contrast_ratio
 from fakes import FakeSource
 from hands import show_source
 from tactune.widgets.basics.controls import ElidedLabel

@@ -25,7 +25,6 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
-from tactune.widgets.basics.gestures import new_gesture
 
 ALT = Qt.KeyboardModifier.AltModifier
 RIG = tiny_rig()
@@ -241,13 +240,3 @@ def test_pointing_at_an_image_reads_the_side_under_the_mouse(compared, qtbot):
         compared.comparison.move_wipe(share)
         assert strip.readout.text().startswith(letter)
         assert verdict in strip.readout.text()
-
-
-def test_five_fields_that_differ_are_seen_beside_the_controls_of_the_mode(compared, qtbot):
-    compared.resize(1280, 800)
-    values = {"range.enabled": True, "region.enabled": True, "mask.hue": (1, 20), "mask.value": (3, 200)}
-    compared.document.edit_many(values, new_gesture())
-    table = compared.comparison.table
-    qtbot.waitUntil(lambda: len(table.records()) >= 5 and compared.width() == 1280)
-    qtbot.waitUntil(lambda: table.viewport().visibleRegion().boundingRect().height() >= 5 * table.rowHeight(0))
-    assert compared.modes.button.isVisible() or compared.set_up.start.isVisible()

@@ -1,11 +1,11 @@
-"""Complete user flows of tuning and playing, by real mouse and key events."""
+"""Complete user flows of tuning, playing and colouring, by real mouse and key events."""
 
 import numpy as np
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from fakes import HEIGHT, MEMBRANE_RGB, WIDTH, at_rest
+from fakes import HEIGHT, MEMBRANE_RGB, WIDTH, at_rest, tiny_frame, tiny_rig
 from hands import (
     CONTROL,
     CONTROL_SHIFT,
@@ -17,6 +17,11 @@ from hands import (
     tolerance_slider,
     type_into,
 )
+from tactune.app.worker.results import CloudName, ColorBy
+from tactune.core.contact.membrane.test import MembraneTest
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.patch import Provenance
+from tactune.widgets.basics.colormaps import CONTACT_RGB
 
 
 def test_a_field_leaves_the_playback_keys_to_the_window(window, qtbot):
@@ -161,3 +166,95 @@ def test_pause_step_and_seek(window, qtbot):
     qtbot.waitUntil(lambda: window.result.processed > processed + 5)
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not window.transport.state.playing)
+
+
+def choose_by_keyboard(window, qtbot, key):
+    box = window.panel.rows["contact_test"].widget
+    window.activateWindow()
+    window.panel.ensureWidgetVisible(box)
+    box.setFocus()
+    QTest.keyClick(box, key)
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+    return box
+
+
+def type_gap_mm(window, qtbot, text):
+    entry = window.panel.rows["membrane.gap_m"].widget.entry
+    window.panel.ensureWidgetVisible(entry)
+    type_into(entry, text)
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+
+
+def test_choose_tune_and_undo(window, qtbot):
+    """The disc of the tiny frames is 2 mm behind the membrane: within the tolerance, no contact in equilibrium."""
+    window.document.edit("membrane.trust_m", 0.008)  # the tiny membrane is flat, as no inflated one is
+    before, patch_before = window.document.preset, window.result.patch
+    assert len(patch_before.points) > 0
+    box = choose_by_keyboard(window, qtbot, Qt.Key.Key_Up)
+    assert window.document.preset.contact_test == "membrane"
+    assert window.document.undo_stack.undoText() == "Contact test membrane"
+    assert tuple(window.result.patch.stage_ms) == tuple(MembraneTest.steps)
+    assert "raise the largest gap" in window.views.views[CloudName.PATCH].notice.text()
+    assert window.result.rendered.histogram.field == "membrane.gap_m"
+    assert window.panel.histograms["membrane.gap_m"].isVisible()
+    assert not window.panel.histograms["tolerance.t"].isVisible()
+
+    type_gap_mm(window, qtbot, "3")
+    assert window.document.preset.membrane.gap_m == 0.003
+    expected = ContactPipeline(window.document.preset, tiny_rig()).process(tiny_frame(3, tiny_rig()))
+    assert len(expected.points) > 0
+    np.testing.assert_array_equal(window.result.patch.points, expected.points)
+    np.testing.assert_array_equal(window.result.patch.provenance, expected.provenance)
+
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Z, CONTROL)
+    QTest.keyClick(box, Qt.Key.Key_Z, CONTROL)
+    assert window.document.preset is before
+    assert box.value() == "tolerance"
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+    np.testing.assert_array_equal(window.result.patch.points, patch_before.points)
+    assert window.panel.histograms["tolerance.t"].isVisible()
+
+
+PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
+
+
+def choose(window, qtbot, color_by):
+    box = window.views.color_by
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Home)
+    for _ in range(list(ColorBy).index(color_by)):
+        QTest.keyClick(box, Qt.Key.Key_Down)
+    assert window.views.colors is color_by
+    qtbot.waitUntil(lambda: window.result.rendered.color_by is color_by)
+
+
+def colors_of(window, name):
+    """The colour of every pixel of a cloud, RGBA: int (H, W, 4)."""
+    cloud = window.views.views[name].cloud()
+    return cloud.lut[cloud.rows()].astype(int)
+
+
+def test_in_provenance_each_view_answers_its_own_question(window, qtbot):
+    window.document.edit("mask.enabled", True)
+    window.document.edit("mask.hue", (175, 5))
+    choose(window, qtbot, ColorBy.PROVENANCE)
+    window.document.edit("region.rectangle", (0, 0, 64, 24))
+    window.document.edit("region.enabled", True)
+    qtbot.waitUntil(lambda: window.result.preset == window.document.preset)
+    names = {name: [text for text, _ in view.legend.entries] for name, view in window.views.views.items()}
+    verdicts = window.result.patch.provenance
+    assert {Provenance.OUTSIDE_REGION, Provenance.OUTSIDE_TOLERANCE} < set(np.unique(verdicts))
+    assert "out of region" in names[PROXIMITY] and "out of region" not in names[PATCH]
+    assert names[PATCH][-1] == "not touching"
+    assert (colors_of(window, PATCH)[verdicts == Provenance.CONTACT][:, :3] == CONTACT_RGB).all()
+
+
+def test_the_patch_view_shows_what_late_steps_dropped(window, qtbot):
+    choose(window, qtbot, ColorBy.PROVENANCE)
+    disc = window.result.patch.mask
+    values = {"mask.enabled": True, "mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)}
+    window.document.edit_many(values, 1, "Drop the disc")
+    qtbot.waitUntil(lambda: window.result.preset == window.document.preset and not window.result.patch.mask.any())
+    patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].legend.entries}
+    assert (colors_of(window, PATCH)[disc][:, :3] == patch["masked"]).all()

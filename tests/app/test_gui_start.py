@@ -10,7 +10,7 @@ import pytest
 from PyQt6.QtGui import QImage
 
 from fakes import FakeSource
-from hands import press, show_source
+from hands import press
 from tactune.app.gui import run_gui, show_window
 from tactune.app.settings import Settings
 from tactune.app.worker import beside
@@ -166,18 +166,6 @@ def test_the_patch_of_the_old_test_stays_while_another_is_compiled(monkeypatch, 
     qtbot.waitUntil(lambda: window.result.preset.contact_test == "membrane")
     qtbot.waitUntil(lambda: not shown.badge.text())
     qtbot.waitUntil(lambda: sorted([*asked, "tolerance"]) == sorted(CONTACT_TESTS))
-
-
-def test_findings_follow_the_compilation_of_the_contact_test(monkeypatch, window, qtbot):
-    """Also where nothing is wrong before and after: the first start on a computer."""
-    go_on = Event()
-    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
-    monkeypatch.setattr(beside, "warm_up_if_needed", lambda progress, preset: go_on.wait(60))
-    window.worker._compiler._ready = set()
-    with qtbot.waitSignal(window.worker.examined, check_params_cb=lambda *_: window.result.patch is None):
-        show_source(qtbot, window, FakeSource(name="another"))
-    go_on.set()
-    qtbot.waitUntil(lambda: window.rail.title.text() == "No findings")
 
 
 def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, watched, qtbot):

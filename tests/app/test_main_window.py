@@ -1,28 +1,32 @@
-"""The main window: its contents, saved state and messages."""
+"""The main window: its contents, bars, saved state, messages, and the Help menu."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
 from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QPushButton
+from PyQt6.QtWidgets import QApplication, QPushButton
 
-from fakes import FakeSource, at_rest, tiny_rig
-from hands import show_source, text_of
-from tactune.app.worker.results import CloudName, ColorBy
-from tactune.app.worker.worker import SourceRequest
+from fakes import FakeSource, at_rest, tiny_frame, tiny_rig
+from hands import LEFT, show_source, text_of
+from small_recordings import noisy_press, small_rig
+from tactune.app.window import help as help_menu
+from tactune.app.window.status import FrameStatus, patch_readings
+from tactune.app.window.toolbar import FrameNumber
+from tactune.app.worker.playback import PlaybackState
+from tactune.app.worker.processing import FrameProcessor
+from tactune.app.worker.reading import SourceRequest
+from tactune.app.worker.results import CloudName, ColorBy, SourceInfo, SourceState, Wanted
+from tactune.core.errors import SourceError
+from tactune.core.model.patch import Doubt
+from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import patch_lut
+from tactune.widgets.basics.messages import Severity
 from tactune.widgets.basics.theme import theme_name
-
-LEFT = Qt.MouseButton.LeftButton
-
-
-def test_shows_every_part_of_a_frame(window):
-    views = window.views.views
-    assert views[CloudName.PATCH].point_count() == len(window.result.patch.points) > 0
-    assert views[CloudName.PROXIMITY].point_count() == views[CloudName.TACTILE].point_count() == 64 * 48
-    status = text_of(window.status)
-    assert "tiny" in status
-    assert window.transport.position.text() == "4 of 8"
 
 
 def test_hidden_parts_are_not_drawn(window, qtbot):
@@ -143,3 +147,145 @@ def test_a_frame_that_overtakes_the_news_of_its_source_stays(window):
     window.worker.opened.emit(window.result.source)
     assert window.views.views[CloudName.PATCH].point_count() > 0
     assert window.actions_.export.isEnabled()
+
+
+def fail_to_open(window, qtbot):
+    def broken(_):
+        raise SourceError("bag:/x.bag: damaged")
+
+    window.open_request(SourceRequest("bag:/x.bag", broken))
+    qtbot.waitUntil(lambda: window.messages.by_key.get("source") is not None)
+
+
+def other_source(window, qtbot, name):
+    source = FakeSource()
+    source.name = name
+    show_source(qtbot, window, source)
+
+
+def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording_or_a_calibration(window, qtbot, tmp_path):
+    show_source(qtbot, window, FakeSource(live=True, name="live"))
+    fail_to_open(window, qtbot)
+    window.settings.set("folder/recordings", str(tmp_path / "recordings"))
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: window.recording.running)
+    assert window.messages.by_key.get("source") is None
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: not window.recording.running)
+    fail_to_open(window, qtbot)
+    QTest.keyClick(window, Qt.Key.Key_K, Qt.KeyboardModifier.ControlModifier)
+    assert window.calibration.wizard.isVisible() and window.messages.by_key.get("source") is None
+
+
+def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, qtbot):
+    window.messages.show_message("export", Severity.ERROR, "The disk is full.", subject="task")
+    window.messages.show_message("worker", Severity.ERROR, "Frame 2 is damaged.", subject="source")
+    window.messages.show_message("defect", Severity.ERROR, "The membrane burst.")
+    other_source(window, qtbot, "another")
+    assert window.messages.sentences() == ["The membrane burst."]
+
+
+def test_escape_dismisses_and_the_key_of_messages_goes_to_them(window, qtbot):
+    fail_to_open(window, qtbot)
+    QTest.keyClick(window, Qt.Key.Key_F12)
+    assert window.messages.isAncestorOf(QApplication.focusWidget())
+    window.views.setFocus()
+    QTest.keyClick(window, Qt.Key.Key_Escape)
+    assert window.messages.sentences() == []
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    urls = []
+    monkeypatch.setattr(QDesktopServices, "openUrl", lambda url: urls.append(url.toLocalFile()) or True)
+    return urls
+
+
+def test_f1_opens_the_guide_that_ships_with_the_package(window, opened, monkeypatch, tmp_path):
+    page = tmp_path / "index.html"
+    page.write_text("guide")
+    monkeypatch.setattr(help_menu, "guide_file", lambda name: tmp_path / f"{name}.html")
+    QTest.keyClick(window, Qt.Key.Key_F1)
+    assert opened == [str(page)]
+    (tmp_path / "keys.html").write_text("keys")
+    QTest.keyClick(window, Qt.Key.Key_F1, Qt.KeyboardModifier.ShiftModifier)
+    assert opened[1:] == [str(tmp_path / "keys.html")]
+
+
+TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
+
+
+@pytest.fixture(scope="module")
+def result():
+    info = SourceInfo("tiny", tiny_rig(), 1, 30.0)
+    return FrameProcessor().process(info, tiny_frame(3, info.rig), Preset(), Wanted(), PlaybackState())
+
+
+@pytest.fixture
+def bar(qtbot):
+    made = FrameStatus()
+    qtbot.addWidget(made)
+    qtbot.addWidget(made.details)
+    made.show()
+    return made
+
+
+def give(bar, result, times=TIMES, **changes):
+    patch = SimpleNamespace(points=result.patch.points, averaged_frames=1, stage_ms=times)
+    bar.show_result(replace(result, patch=patch, **changes))
+
+
+def test_the_numbers_say_how_sure_the_patch_is_and_why(bar, result):
+    doubtful = replace(result, area_mm2=300.0, doubt=Doubt(0.609, 2.34, ("no dent",)))
+    values = [reading.value for reading in patch_readings(doubtful, 30.0)]
+    assert values[:3] == ["300 mm²", "60 %", "±2.3 mm"]
+    give(bar, doubtful)
+    assert "Doubt: no dent" in bar.details.text()
+
+
+def test_the_state_is_said_in_a_word_or_two(bar):
+    said = []
+    for state in (
+        PlaybackState(length=8, playing=True),
+        PlaybackState(length=8),
+        PlaybackState(playing=True),
+    ):
+        bar.show_playback(state)
+        said.append(bar.state.text())
+    assert said == ["Playing", "Paused", "Live"]
+    bar.show_recording(True)
+    bar.show_state(SourceState(stale=True))
+    assert bar.state.text() == "Recording, no frames"
+
+
+def test_enter_goes_to_the_typed_frame_and_escape_brings_the_shown_one_back(qtbot):
+    number, sought = FrameNumber(), []
+    number.valueChanged.connect(sought.append)
+    qtbot.addWidget(number)
+    number.show_frame(3, 8)
+    number.show()
+    number.activateWindow()  # the window of the module may be open
+    qtbot.waitUntil(number.isActiveWindow)
+    for typed, key, shown in (("5", Qt.Key.Key_Return, 5), ("2", Qt.Key.Key_Escape, 5), ("7", Qt.Key.Key_Return, 7)):
+        number.setFocus()
+        number.selectAll()
+        QTest.keyClicks(number, typed)
+        number.show_frame(5, 8)  # played on while somebody types
+        assert number.text().startswith(typed)
+        QTest.keyClick(number, key)
+        assert number.text() == f"{shown} of 8" and not number.hasFocus()
+    assert sought == [5, 7]
+
+
+def test_a_first_contact_is_judged_at_once_while_frames_play():
+    processor, rig = FrameProcessor(), small_rig(64)
+    press = noisy_press(0, rig, 3, with_truth=False)
+    info = SourceInfo("press", rig, 3, 30.0)
+    contact = press.next_frame()
+    nothing = replace(contact, proximity_depth=np.zeros_like(contact.proximity_depth))
+    playing = PlaybackState(length=3, playing=True)
+    preset = Preset(contact_test="tolerance")
+    judged = [processor.process(info, frame, preset, Wanted(), playing).doubt for frame in (nothing, contact, contact)]
+    at_rest = processor.process(info, contact, preset, Wanted(), PlaybackState()).doubt
+    first, second, third = (doubt.touch_probability for doubt in judged)
+    assert first == 0.0 < second == third == at_rest.touch_probability

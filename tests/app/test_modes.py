@@ -8,7 +8,6 @@ from PyQt6.QtWidgets import QApplication, QFileDialog
 from fakes import FakeSource
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
 from tactune.app.window.modes import Mode, RunPanel
-from tactune.app.window.search import Search
 from tactune.core.preset import CONTACT_TESTS
 from tactune.widgets.parameters.slider import Slider
 
@@ -71,19 +70,6 @@ def test_what_can_be_exported_is_found_by_its_kind(window, qtbot):
     dialog = QApplication.activeModalWidget()
     assert "(*.gif)" in dialog.selectedNameFilter()
     dialog.reject()
-
-
-def test_enter_passes_over_what_cannot_be_done_now(qtbot):
-    done = []
-    field = Search(lambda: [("Save", "", None), ("Save as", "Ctrl+S", lambda: done.append("as"))], lambda: None)
-    qtbot.addWidget(field)
-    field.show()
-    field.activateWindow()
-    qtbot.waitUntil(field.isActiveWindow)
-    field.setFocus()
-    QTest.keyClicks(field, "save")
-    QTest.keyClick(field, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: done == ["as"])
 
 
 def test_the_mode_is_remembered(make_window, qtbot):

@@ -9,7 +9,6 @@ from PyQt6.QtTest import QTest
 
 from fakes import FakeSource
 from hands import show_source, shows_preset_of_document, strip_position
-from tactune.app.timeline.series import time_series
 from tactune.app.worker.rendering import Scene, draw_strip
 from tactune.app.worker.results import CloudName, ColorBy, Wanted
 from tactune.core import ContactPipeline, load_preset, open_source
@@ -167,19 +166,6 @@ def test_the_strip_draws_the_force_and_says_what_it_needs(shown, qtbot):
     strip.set_words("")
     assert strip.words
     assert strip.curve.missing.startswith(strip.words.rstrip("…"))
-
-
-def test_the_series_has_the_force_of_each_patch(pressed, preset):
-    rig, untouched, frame = pressed
-    source = FakeSource(rig=rig, frames=[untouched, frame], untouched=untouched)
-    known = preset.with_values({"contact_test": "pressure", "pressure.gauge_pa": GAUGE_PA})
-    away, press = time_series(source, known, range(2))
-    force_n = ContactPipeline(known, rig, untouched).process(frame).force_n
-    assert (away.force_n, away.force_mm2) == (0.0, 0.0)
-    assert press.force_n == pytest.approx(np.linalg.norm(force_n))
-    assert press.force_mm2 == pytest.approx(1e6 * press.force_n / GAUGE_PA)
-    (other,) = time_series(source, preset, [1])
-    assert np.isnan([other.force_n, other.force_mm2]).all()
 
 
 def test_the_mask_is_drawn_as_it_was_used_in_half_of_the_light(pressed, preset):

@@ -1,14 +1,19 @@
-"""Recording in the window by its key: the file's contents and the messages."""
+"""Recording in the window by its key, and the recorder between the reading thread and the file."""
+
+from threading import Event
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from fakes import FakeSource
+from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import answer_question, press, show_source
 from tactune.app.window import recording
+from tactune.app.worker.recorder import Recorder
 from tactune.app.worker.worker import NOT_LIVE
+from tactune.core.output.writer import SessionWriter
+from tactune.core.preset import Preset
 from tactune.core.sources.registry import open_source
 
 
@@ -116,3 +121,89 @@ def test_what_is_edited_while_a_recording_is_finished_is_asked_about(window, cam
     cameras.give(qtbot, 1)
     answer_question(qtbot, "cancel")
     assert window.isVisible() and not window.recording.running
+
+
+class HeldWriter(SessionWriter):
+    """A file that takes frames until a test stops it, and is finished when the test says so."""
+
+    def __init__(self, *words, **options):
+        super().__init__(*words, **options)
+        self.fault, self.may_close = None, Event()
+
+    def put(self, frame, *, wait):
+        if self.fault is not None:
+            raise self.fault
+        return super().put(frame, wait=wait)
+
+    def close(self):
+        self.may_close.wait(60.0)
+        return super().close()
+
+
+@pytest.fixture
+def made():
+    return []
+
+
+@pytest.fixture
+def ends():
+    return []
+
+
+@pytest.fixture
+def recorder(made, ends):
+    recorder = Recorder(ends.append, lambda *words, **options: made.append(HeldWriter(*words, **options)) or made[-1])
+    yield recorder
+    made[0].may_close.set()
+    recorder.close()
+
+
+def request(tmp_path):
+    return tmp_path / "a.mcap", tiny_rig(), Preset(), 30.0
+
+
+def frame(index):
+    return tiny_frame(index, tiny_rig())
+
+
+def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
+    recorder.start(*request(tmp_path))
+    recorder.put(frame(0))
+    recorder.stop("another source was opened")
+    assert not recorder.running
+    assert ends == []
+    made[0].may_close.set()
+    recorder.close()
+    assert ends[0].reason == "another source was opened"
+
+
+def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tmp_path):
+    recorder.start(*request(tmp_path))
+    recorder.put(frame(0))
+    made[0].fault = RuntimeError("broken")
+    recorder.put(frame(1))
+    assert not recorder.running
+    made[0].may_close.set()
+    recorder.close()
+    assert ends[0].reason == "Frame 2 could not be recorded (RuntimeError: broken)."
+    assert ends[0].status.frames == 1
+
+
+def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(recorder, made, ends, tmp_path):
+    seen, told = [], []
+
+    def see(shown):
+        seen.append(shown.sequence)
+        if shown.sequence == 1:
+            raise RuntimeError("broken")
+
+    recorder.start(*request(tmp_path))
+    recorder.watch(see, told.append)
+    for index in range(3):
+        recorder.put(frame(index))
+    assert seen == [0, 1]
+    assert told == ["Frame 2 could not be used (RuntimeError: broken)."]
+    made[0].may_close.set()
+    recorder.stop("")
+    recorder.close()
+    assert ends[0].status.frames == 3

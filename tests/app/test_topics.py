@@ -1,4 +1,4 @@
-"""Opening a recording of another program: its topics are shown with pictures, chosen once, and kept."""
+"""The dialog *Open…*, and recordings and folders of other programs: what they lack is asked for once, and kept."""
 
 import cv2
 import numpy as np
@@ -8,9 +8,10 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QDialogButtonBox
 
 from fakes import FakeSource
-from hands import LEFT, show_source, type_path
+from hands import CONTROL, LEFT, show_source, type_path
 from ros_maker import color, depth, make_recording
 from tactune.app.sources.folder_rig import FolderRigDialog
+from tactune.core.sources.folder import export_folder
 from tactune.core.sources.ros.topics import load_topics, store_topics
 
 
@@ -74,16 +75,6 @@ def test_cameras_are_exchanged_by_keys_and_one_topic_twice_is_no_choice(window, 
     assert window.result.frame.tactile_depth[0, 0] in (400, 401, 402)
 
 
-def test_the_colour_of_a_camera_comes_with_its_depth(asked):
-    dialog, _ = asked
-    depth_choice, color_choice = dialog.choices["tactile.depth"], dialog.choices["tactile.color"]
-    assert color_choice.currentData() == ""
-    depth_choice.setCurrentIndex(depth_choice.findData("/l515/depth/image_rect_raw"))
-    assert color_choice.currentData() == "/l515/color/image_raw"
-    depth_choice.setCurrentIndex(depth_choice.findData("/d405/depth/image_rect_raw"))
-    assert color_choice.currentData() == "", "that of the other camera goes"
-
-
 def test_names_that_tell_nothing_need_one_choice(window, qtbot, tmp_path):
     path = make_recording(tmp_path / "take", [depth("/left", "a_optical"), depth("/right", "b_optical", 390)])
     dialog = ask(window, qtbot, path)
@@ -145,3 +136,69 @@ def test_a_folder_of_images_without_a_rig_is_asked_for_lens_and_unit(window, qtb
     rig = window.result.source.rig
     assert (rig.proximity.intrinsics.fy, rig.tactile.intrinsics.fx, rig.tactile.depth_unit_m) == (31, 40, 0.001)
     assert (folder / "rig.json").is_file() and window.topics.dialog is None
+
+
+CAMERAS, FILES = range(2)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    export_folder(FakeSource(length=2), tmp_path / "recording")
+    return tmp_path / "recording"
+
+
+def open_dialog(window, qtbot, page=None):
+    """Press Ctrl+O, and choose a page."""
+    QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
+    qtbot.waitUntil(lambda: window.sources.dialog is not None and window.sources.dialog.isVisible())
+    dialog = window.sources.dialog
+    if page is not None:
+        QTest.mouseClick(dialog.tabs.tabBar(), LEFT, pos=dialog.tabs.tabBar().tabRect(page).center())
+        assert dialog.page is dialog.pages[page]
+    return dialog
+
+
+def shows(window, name):
+    return window.result is not None and window.result.source.name == name
+
+
+# Opening
+
+
+def test_an_error_is_said_in_the_dialog_is_corrected_and_enter_opens(window, qtbot, recording):
+    dialog = open_dialog(window, qtbot)
+    qtbot.waitUntil(dialog.name.hasFocus)
+    QTest.keyClicks(dialog.name, f"folder:{recording}x")
+    QTest.mouseClick(dialog.buttons.button(QDialogButtonBox.StandardButton.Open), LEFT)
+    qtbot.waitUntil(lambda: "there is no folder" in dialog.note.text())
+    assert window.messages.sentences() == []
+    assert window.result.source.name == "tiny"
+    QTest.keyClick(dialog.name, Qt.Key.Key_Backspace)
+    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: shows(window, f"folder:{recording}"))
+    assert window.sources.dialog is None
+
+
+# Recent sources
+
+
+def test_a_recording_that_was_open_opens_by_double_click(window, qtbot, recording):
+    name = f"folder:{recording}"
+    window.open_source(name)
+    qtbot.waitUntil(lambda: shows(window, name))
+    dialog = open_dialog(window, qtbot, FILES)
+    opened = []
+    window.worker.opened.connect(opened.append)
+    place = dialog.page.list.visualItemRect(dialog.page.list.item(0)).center()
+    QTest.mouseClick(dialog.page.list.viewport(), LEFT, pos=place)
+    QTest.mouseDClick(dialog.page.list.viewport(), LEFT, pos=place)
+    qtbot.waitUntil(lambda: [info.name for info in opened] == [name])
+    assert window.sources.dialog is None
+
+
+def test_a_recording_that_is_gone_is_not_listed(window, qtbot, recording, tmp_path):
+    for name in (f"folder:{recording}", f"mcap:{tmp_path / 'gone.mcap'}"):
+        window.settings.add_recent("sources", name)
+    dialog = open_dialog(window, qtbot, FILES)
+    texts = [dialog.page.list.item(row).text() for row in range(dialog.page.list.count())]
+    assert texts[0] == f"folder:{recording}"

@@ -7,14 +7,14 @@ from PyQt6.QtCore import QProcess, Qt
 from PyQt6.QtTest import QTest
 
 from hands import LEFT, show_source, text_of, type_into
-from small_recordings import NoisyPress, small_rig
+from small_recordings import noisy_press, small_rig
 from tactune.app.analysis.tune_tab import frames_of
 from tactune.core.sources.folder import FolderSource, export_folder
 
 
 @pytest.fixture
 def recording(tmp_path):
-    export_folder(NoisyPress(0, small_rig(64), 3, with_truth=True), tmp_path / "rec")
+    export_folder(noisy_press(0, small_rig(64), 3, with_truth=True), tmp_path / "rec")
     return FolderSource(tmp_path / "rec")
 
 

@@ -6,8 +6,7 @@ import pytest
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
-from drifted import Drift
-from drifting import AVERAGED, drifted, untouched
+from drifting import AVERAGED, Drift, drifted, untouched
 from fakes import FakeCameras
 from hands import LEFT, press, show_source
 from tactune.core.preset.file import save_preset
@@ -95,16 +94,6 @@ def test_a_moved_camera_is_told_and_its_buttons_mend_and_show_it(window, moving,
     qtbot.waitUntil(lambda: window.calibration.wizard is not None)
     window.calibration.wizard.close()
     shown.close()
-
-
-def test_a_camera_that_moved_overnight_is_told_after_the_first_looks(window, qtbot):
-    cameras = MovedCameras()
-    cameras.move()
-    cameras.release()
-    show_source(qtbot, window, cameras)
-    look(qtbot, window, cameras, LOOKS)
-    assert window.watch.first.state == "drifted"
-    assert "The tactile camera has moved by 2.0 mm" in window.messages.by_key[KEY].sentence
 
 
 def test_it_is_switched_off_and_stays_off(window, moving, make_window, qtbot):

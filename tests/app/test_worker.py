@@ -1,11 +1,16 @@
-"""The worker thread, its playback and its mailbox."""
+"""The worker thread, its playback and its mailbox; live cameras in the worker and in the window."""
+
+import time
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
 
-from fakes import FakeSource
-from tactune.app.worker import processing
+from fakes import FakeCameras, FakeSource
+from tactune.app.worker import processing, reading
 from tactune.app.worker.playback import Playback
+from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import CloudName, ColorBy, Wanted
 from tactune.app.worker.threads import Mailbox
 from tactune.app.worker.worker import SourceRequest, Worker
@@ -170,3 +175,154 @@ def test_a_held_recording_waits_and_a_live_source_is_never_due_since_it_paces_it
     recording.held = True
     assert recording.wait_s(1e9) is live.wait_s(1e9) is None
     assert live.state.playing
+
+
+@pytest.fixture
+def fed(watched, qtbot):
+    """Cameras that have given their first frame, which is shown."""
+    made = FakeCameras()
+    watched.open(made)
+    made.release()
+    qtbot.waitUntil(lambda: watched.last is not None)
+    return made
+
+
+def test_a_preset_is_used_at_once_while_no_frame_comes(watched, fed, qtbot, preset):
+    watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
+    qtbot.waitUntil(lambda: watched.last.preset.tolerance.t == 0.5)
+    assert watched.last.frame is fed.given[0]
+    assert len(fed.given) == 1
+
+
+def test_another_source_opens_while_no_frame_comes(watched, fed, qtbot):
+    watched.open(FakeSource(length=1))
+    qtbot.waitUntil(lambda: watched.last.source.name == "tiny")
+    assert fed.closed
+
+
+def test_shutting_down_while_no_frame_comes(qtbot, preset):
+    watched = Watched(preset)
+    fed = FakeCameras()
+    watched.open(fed)
+    qtbot.waitUntil(lambda: fed.waits > 1)
+    watched.worker.shut_down()
+    assert watched.worker.isFinished()
+    assert fed.closed, "its thread was not abandoned"
+
+
+def test_a_driver_that_hangs_does_not_keep_the_window_open(qtbot, preset, monkeypatch):
+    monkeypatch.setattr(reading, "PATIENCE_S", 0.1)
+    watched = Watched(preset)
+    source = FakeSource(live=True, hold=0, hangs=True)
+    with qtbot.waitSignal(watched.worker.opened):
+        watched.open(source)
+    assert source.waiting.wait(60)
+    watched.worker.shut_down()
+    assert watched.worker.isFinished()
+    source.release()
+
+
+def test_no_frame_for_a_while_is_stale_and_the_next_one_is_not(watched, fed, qtbot, monkeypatch):
+    monkeypatch.setattr(reading, "STALE_AFTER_S", 0.3)
+    qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].stale)
+    fed.release()
+    qtbot.waitUntil(lambda: not watched.states[-1].stale)
+
+
+def test_an_error_of_the_source_is_told_and_it_is_asked_again(watched, fed, qtbot):
+    fed.fail("the D405 sends frames of 1280 x 720, the rig says 640 x 480: unplug it and plug it in again")
+    qtbot.waitUntil(lambda: bool(watched.states) and "1280 x 720" in watched.states[-1].problem)
+    assert watched.modes[-1].playing
+    fed.error = ""
+    fed.release()
+    qtbot.waitUntil(lambda: watched.states[-1].problem == "")
+    qtbot.waitUntil(lambda: watched.last.frame.sequence == 1)
+
+
+def test_the_end_of_a_live_source_is_told(watched, fed, qtbot):
+    fed.end()
+    qtbot.waitUntil(lambda: bool(watched.states) and "has ended: open it again" in watched.states[-1].problem)
+    assert watched.states[-1].stale
+
+
+def test_an_option_is_set_between_frames_and_the_newest_value_counts(watched, fed, qtbot):
+    for value in (10.0, 20.0, 30.0):
+        watched.worker.set_option("proximity", "laser_power", value)
+    qtbot.waitUntil(lambda: bool(watched.options) and watched.options[-1][0].value == 30.0)
+    assert watched.refusals == []
+
+
+def test_frames_that_come_too_fast_are_dropped_and_counted(watched, fed, qtbot):
+    released = 1
+
+    def some_were_dropped():
+        nonlocal released
+        fed.release(200)
+        released += 200
+        return watched.last.dropped > 0
+
+    qtbot.waitUntil(some_were_dropped)
+    qtbot.waitUntil(lambda: watched.last.frame.sequence == released - 1)
+    assert watched.last.processed < released <= watched.last.processed + watched.last.dropped
+
+
+def test_cameras_are_closed_before_they_are_opened_again(watched, fed, qtbot):
+    order = []
+
+    def open_again(progress):
+        order.append(fed.closed)
+        return FakeCameras()
+
+    watched.worker.open(SourceRequest("cameras", open_again, exclusive=True))
+    qtbot.waitUntil(lambda: order == [True])
+
+
+def badges(window):
+    return {str(name): view.badge.text() for name, view in window.views.views.items()}
+
+
+def test_the_view_of_a_missing_camera_says_what_to_do_the_others_wait_and_all_marks_go(window, cameras, qtbot):
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: badges(window)["tactile"] != "")
+    said = badges(window)
+    assert said["tactile"].startswith("Tactile camera D405 (serial d002) is not connected: plug it in.")
+    assert "The last frame is shown." in said["tactile"]
+    assert said["proximity"].startswith("Waiting for the tactile camera. The last frame is shown.")
+    assert "plug it in" in said["patch"]
+    assert all(pane.badge.text() == "old" for pane in window.strip.panes.values())
+    assert window.views.views[CloudName.TACTILE].point_count() > 0
+    assert window.views.views[CloudName.TACTILE].badge.accessibleName() == said["tactile"]
+    assert window.status.state.text() == "No frames"
+    cameras.faults.clear()
+    cameras.release()
+    qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
+    assert {pane.badge.text() for pane in window.strip.panes.values()} == {""}
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 1)
+
+
+def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_shown(window, cameras, qtbot, monkeypatch):
+    tried, said = [], []
+    window.worker.failed.connect(said.append)
+    with monkeypatch.context() as broken:
+        broken.setattr(FrameProcessor, "process", lambda *_, **__: tried.append(1) or 1 / 0)
+        cameras.release()
+        qtbot.waitUntil(lambda: window.messages.by_key.get("worker") is not None)
+        for count in (2, 3, 4):
+            cameras.release()
+            qtbot.waitUntil(lambda count=count: len(tried) >= count)
+        assert len(said) == 1
+    cameras.release()
+    qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1)
+    qtbot.waitUntil(lambda: window.messages.by_key.get("worker") is None)
+
+
+def test_pausing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: not window.transport.state.playing)
+    too_old_s = time.monotonic() + 1.2 * reading.STALE_AFTER_S
+    qtbot.waitUntil(lambda: cameras.release() or time.monotonic() > too_old_s)
+    assert window.result.frame.sequence == 0
+    assert set(badges(window).values()) == {""}
+    assert not window.transport.position.isEnabled() and not window.actions_.next.isEnabled()
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1 > 0)

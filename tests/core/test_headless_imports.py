@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 WALK = """
 import importlib, pkgutil, sys
 import tactune.core
@@ -25,14 +27,26 @@ def test_importing_all_of_the_core_imports_nothing_of_the_window():
     assert upwards == "[]"
 
 
-def test_reading_and_recording_frames_load_no_compiler():
-    program = """
-import sys
-import tactune.core.output.writer, tactune.core.sources.folder, tactune.core.sources.tactune_files
-print("numba" in sys.modules)
-"""
+@pytest.mark.parametrize(
+    ("modules", "heavy"),
+    [
+        ("core.output.writer, tactune.core.sources.folder, tactune.core.sources.tactune_files", {"numba"}),
+        ("core.contact.pipeline", {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}),
+        (
+            "app.cli.lab, tactune.app.cli.main, tactune.app.cli.run, tactune.app.cli.serve",
+            {"PyQt6", "pyqtgraph", "open3d"},
+        ),
+        (
+            "core.sources.capture.child",
+            {"PyQt6", "pyqtgraph", "cv2", "numba", "scipy", "pyrealsense2", "rosbags", "open3d"},
+        ),
+    ],
+    ids=["reading and recording", "the pipeline", "commands without a window", "the capture process"],
+)
+def test_nothing_heavy_is_loaded_before_it_is_needed(modules, heavy):
+    program = f"import sys, tactune.{modules}; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
-    assert done.stdout == "False\n", done.stderr
+    assert done.stdout == "[]\n", done.stderr
 
 
 def test_every_exported_name_is_there_without_window_or_extras():
@@ -44,17 +58,6 @@ print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "OpenG
 """
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
     assert done.stdout.splitlines() == ["True 20", "[]"], done.stderr
-
-
-def test_the_commands_that_need_no_window_import_none():
-    program = """
-import sys
-from tactune.app.cli import lab, main, run, serve
-print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "pyqtgraph", "open3d"}))
-"""
-    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "[]\n"
 
 
 def test_foxglove_needs_no_package_of_ros():

@@ -36,14 +36,6 @@ def test_the_share_that_passes_is_the_measured_one(scene, t, expected):
     assert share_passing(*scene, tolerance__t=t) == pytest.approx(expected, abs=0.1)
 
 
-def test_a_depth_offset_mends_the_bias_between_the_cameras(scene):
-    rig, frame = scene
-    aligned = ContactPipeline(Preset(), rig).process(frame).aligned
-    offset = float(np.nanmedian(aligned.expected_m - aligned.measured_m))
-    assert offset == pytest.approx(0.0169, abs=0.0005)
-    assert share_passing(rig, frame, tolerance__t=0.02, alignment__depth_offset_m=offset) > 80
-
-
 def test_the_tuned_preset_gives_the_references_patch(scene):
     rig, frame = scene
     preset = load_preset(PRESET)

@@ -6,8 +6,7 @@ import re
 
 import pytest
 
-from attacks import bounded
-from damage import damaged
+from attacks import bounded, damaged
 from kinds import KINDS
 from tactune.core.errors import TactuneError
 

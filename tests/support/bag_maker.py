@@ -28,15 +28,11 @@ class Images:
     stamps_s: list[float]
     encoding: str
     clock: str | None = "Hardware Clock"
-    clocks: list[str] | None = None
     lens: str = "None"
     D: tuple[float, ...] = (0.0,) * 5
     K: tuple[float, float, float, float] = (20.0, 21.0, 3.5, 2.5)
     pose: tuple[Rotation, tuple[float, float, float]] = (Rotation.identity(), (0.0, 0.0, 0.0))
     tf: str | None = "0"
-    fps: int = 15
-    padding: int = 0
-    big_endian: bool = False
     size: tuple[int, int] | None = None
     missing_bytes: int = 0
 
@@ -94,9 +90,7 @@ class BagMaker:
         height, width = stream.size or stream.images[0].shape[:2]
         fx, fy, cx, cy = stream.K
         if "info" not in without:
-            self.add(
-                0, f"{topic}/info", "realsense_msgs/msg/StreamInfo", fps=stream.fps, encoding="x", is_recommended=False
-            )
+            self.add(0, f"{topic}/info", "realsense_msgs/msg/StreamInfo", fps=15, encoding="x", is_recommended=False)
         if "camera_info" not in without:
             self.add(
                 0,
@@ -123,12 +117,8 @@ class BagMaker:
                 translation=T["geometry_msgs/msg/Vector3"](*translation),
                 rotation=T["geometry_msgs/msg/Quaternion"](*rotation.as_quat()),
             )
-        clocks = stream.clocks or [stream.clock] * len(stream.images)
-        columns = (stream.images, stream.recorded_s, stream.stamps_s, clocks)
-        for image, recorded_s, stamp_s, clock in zip(*columns, strict=True):
-            array = image.astype(">u2") if stream.big_endian else image
-            rows = np.ascontiguousarray(array).view(np.uint8).reshape(image.shape[0], -1)
-            rows = np.pad(rows, ((0, 0), (0, stream.padding)), constant_values=7)
+        for image, recorded_s, stamp_s in zip(stream.images, stream.recorded_s, stream.stamps_s, strict=True):
+            rows = np.ascontiguousarray(image).view(np.uint8).reshape(image.shape[0], -1)
             self.add(
                 recorded_s,
                 f"{topic}/image/data",
@@ -137,12 +127,12 @@ class BagMaker:
                 height=image.shape[0],
                 width=image.shape[1],
                 encoding=stream.encoding,
-                is_bigendian=int(stream.big_endian),
+                is_bigendian=0,
                 step=rows.shape[1],
                 data=rows.reshape(-1)[: rows.size - stream.missing_bytes],
             )
-            if clock is not None:
-                for key, value in (("system_time", "0.0"), ("timestamp_domain", clock)):
+            if stream.clock is not None:
+                for key, value in (("system_time", "0.0"), ("timestamp_domain", stream.clock)):
                     kind = "diagnostic_msgs/msg/KeyValue"
                     self.add(recorded_s, f"{topic}/image/metadata", kind, key=key, value=value)
 

@@ -1,4 +1,4 @@
-"""How people see colours, with full and with deficient colour vision."""
+"""How people see colours, with full and with deficient colour vision, and the contrast of two of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from PyQt6.QtGui import QColor
 
 #: Machado, Oliveira and Fernandes, "A Physiologically-based Model for Simulation of Color Vision Deficiency", 2009,
 #: severity 1, on linear RGB.
@@ -34,3 +35,16 @@ def nearest(colors: Mapping[Any, Any], eye: str) -> tuple[float, Any, Any]:
     points = {name: seen(rgb, eye) for name, rgb in colors.items()}
     pairs = itertools.combinations(points, 2)
     return min(((float(np.linalg.norm(points[a] - points[b])), a, b) for a, b in pairs), key=lambda pair: pair[0])
+
+
+def contrast_ratio(first: str, second: str) -> float:
+    """Return the WCAG 2 contrast ratio of two colours, 1 to 21."""
+    bright, dark = sorted((_luminance(first), _luminance(second)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+def _luminance(value: str) -> float:
+    color = QColor(value)
+    channels = (color.redF(), color.greenF(), color.blueF())
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

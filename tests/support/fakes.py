@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from threading import Condition, Event, Thread, current_thread
+from threading import Condition, Event, Thread
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,7 +55,7 @@ class FakeSource(FrameSource):
         Number of frames; a live source never ends.
     rig : Rig, optional
         By default a tiny one of 64 x 48 pixels.
-    broken : collection of int, or mapping to exceptions
+    broken : collection of int
         Frames that cannot be read.
     make : callable
         Makes frame ``index`` for the rig.
@@ -65,8 +65,8 @@ class FakeSource(FrameSource):
         Number of frames that are let through; reading more waits for `release`.
     hangs : bool
         A held live source says that it is ready and then does not return, as a hanging driver.
-    untouched : SensorFrame or exception, optional
-        What `FrameSource.untouched` returns or raises.
+    untouched : SensorFrame, optional
+        What `FrameSource.untouched` returns.
     ends_at : int, optional
         A recording that states more frames than it has ends here.
     """
@@ -75,7 +75,7 @@ class FakeSource(FrameSource):
         self,
         length: int = 8,
         rig: Rig | None = None,
-        broken: Collection[int] | Mapping[int, BaseException] = frozenset(),
+        broken: Collection[int] = frozenset(),
         *,
         make: Callable[[int, Rig], SensorFrame] = tiny_frame,
         frames: Sequence[SensorFrame] | None = None,
@@ -84,12 +84,11 @@ class FakeSource(FrameSource):
         hold: int | None = None,
         hangs: bool = False,
         rate_hz: float = 30.0,
-        untouched: SensorFrame | BaseException | None = None,
+        untouched: SensorFrame | None = None,
         ends_at: int | None = None,
     ) -> None:
         self.name = name
         self.broken = broken
-        self.count = 0
         self.closed = False
         #: Set while a read waits for `release`.
         self.waiting = Event()
@@ -156,10 +155,8 @@ class FakeSource(FrameSource):
                 self.waiting.clear()
             if self._allowed:
                 self._allowed -= 1
-        self.count += 1
         if index in self.broken:
-            error = self.broken[index] if isinstance(self.broken, Mapping) else None
-            raise error or SourceError(f"{self.name}: frame {index} is damaged; skip it")
+            raise SourceError(f"{self.name}: frame {index} is damaged; skip it")
         return self._make(index, self._rig)
 
     def seek(self, index: int) -> None:
@@ -170,8 +167,6 @@ class FakeSource(FrameSource):
         self._position = index
 
     def untouched(self) -> SensorFrame | None:
-        if isinstance(self._untouched, BaseException):
-            raise self._untouched
         return self._untouched
 
     def close(self) -> None:
@@ -207,12 +202,8 @@ class FakeCameras(FakeSource):
         self.given: list[SensorFrame] = []
         self.error = ""
         self.ended = False
-        self.waits = self.looks = 0
-        self.timeouts_s: set[float] = set()
-        self.callers: set[Thread] = set()
+        self.waits = 0
         self.faults: dict[CameraRole, str] = {}
-        self.dropped = self.unmatched = 0
-        self.message = ""
         self.values = {(option.camera, option.name): option.value for option in OPTIONS}
         self.refuses: set[str] = set()
         self._stopped = Event()
@@ -249,12 +240,9 @@ class FakeCameras(FakeSource):
 
     def wait(self, timeout_s: float) -> bool:
         self.waits += 1
-        self.timeouts_s.add(timeout_s)
-        self.callers.add(current_thread())
         return super().wait(timeout_s)
 
     def next_frame(self) -> SensorFrame | None:
-        self.callers.add(current_thread())
         if self.error:
             raise SourceError(self.error)
         if self.ended:
@@ -267,19 +255,13 @@ class FakeCameras(FakeSource):
         return frame
 
     def health(self) -> Health:
-        self.looks += 1
-        self.callers.add(current_thread())
-
         def camera(role: CameraRole, model: str, serial: str) -> CameraHealth:
             return CameraHealth(role, self.faults.get(role, "streaming"), model, serial)
 
         return Health(
             ok=not self.faults,
-            message=self.message,
-            dropped=self.dropped,
             stale=bool(self.faults),
             cameras=(camera("proximity", "L515", "f001"), camera("tactile", "D405", "d002")),
-            unmatched=self.unmatched,
         )
 
     def options(self) -> tuple[CameraOption, ...]:

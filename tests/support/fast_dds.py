@@ -34,15 +34,8 @@ def build(folder: Path) -> Path:
 class FastDds:
     """A subscriber of Fast DDS in a process of its own; ``topics`` are ROS 2 names with their kinds of subscription."""
 
-    def __init__(
-        self,
-        program: Path,
-        domain: int,
-        topics: Mapping[str, str],
-        namespace: str = "",
-        on_message: Callable[[str, bytes], None] = lambda topic, data: None,
-    ) -> None:
-        self.topics, self._on_message = list(topics), on_message
+    def __init__(self, program: Path, domain: int, topics: Mapping[str, str], namespace: str = "") -> None:
+        self.topics = list(topics)
         words = [
             word
             for topic, qos in topics.items()
@@ -64,7 +57,6 @@ class FastDds:
             data, topic = self.process.stdout.read(length), self.topics[number]
             if len(data) < length:  # the program was killed while it wrote
                 return
-            self._on_message(topic, data)
             with self._arrived:
                 self.latest[topic] = data
                 self.counts[topic] += 1

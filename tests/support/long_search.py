@@ -61,13 +61,10 @@ class LongSearch:
         journal = self.file.read_text() if self.file.exists() else ""
         return len(re.findall(r'\{"op_code":6,[^\n]*"state":1,', journal))
 
-    def give(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """Give the command, and wait for its end."""
-        return subprocess.run([*self.command, *words], check=False, capture_output=True, text=True, timeout=LIMIT_S)
-
     def finish(self, *words: str) -> str:
         """Give the command again, to its end; return what it printed."""
-        done = self.give(*words)
+        command = [*self.command, *words]
+        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=LIMIT_S)
         assert done.returncode == 0, done.stderr
         self.check(done.stdout)
         return done.stdout

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from commands import read_line
 from tactune.core.sources.ros.dds import Participant
 from tactune.core.sources.ros.messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES
 
@@ -98,6 +99,8 @@ def publish(domain: int, rate_hz: float, model: str, names: list[str]) -> None:
         for topic, kind in topics_of(names).items()
     }
     writers["/tf_static"].send(transforms())
+    sys.stdout.write("published\n")
+    sys.stdout.flush()
     number, began_s = 0, time.time()
     while not select([sys.stdin], [], [], max(0.0, began_s + number / rate_hz - time.time()))[0]:
         for topic, data in messages(number, round((began_s + number / rate_hz) * 1e9), names, model):
@@ -110,10 +113,12 @@ def publish(domain: int, rate_hz: float, model: str, names: list[str]) -> None:
 def cameras(
     domain: int, rate_hz: float = 30.0, names: Sequence[str] = CAMERAS, model: str = "plumb_bob"
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Publish until the end of the context."""
+    """Publish until the end of the context, which begins when the first topics are there."""
     words = [sys.executable, __file__, str(domain), str(rate_hz), model, *names]
-    with subprocess.Popen(words, stdin=subprocess.PIPE) as process:
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         try:
+            assert process.stdout is not None
+            read_line(process.stdout)
             yield process
         finally:
             if process.stdin is not None:

@@ -1,10 +1,6 @@
-"""Two small cameras side by side and a wall that they see: helpers, and the fixtures ``rig`` and ``make_frame``."""
+"""Two small cameras side by side and a wall that they see: helpers, and the fixture ``rig``."""
 
 from __future__ import annotations
-
-import time
-from collections.abc import Callable
-from threading import Event
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +9,6 @@ import pytest
 from fakes import FakeSource
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources.base import FrameSource
 
 WIDTH, HEIGHT = 160, 120
 BASELINE_M = 0.040
@@ -41,26 +36,6 @@ def rig() -> Rig:
     )
 
 
-MakeFrame = Callable[..., SensorFrame]
-
-
-@pytest.fixture
-def make_frame(rig: Rig) -> MakeFrame:
-    """A frame from depths in metres."""
-
-    def make(proximity_m: npt.ArrayLike, tactile_m: npt.ArrayLike, index: int = 0, **times: float) -> SensorFrame:
-        shape = (HEIGHT, WIDTH)
-        return SensorFrame(
-            sequence=index,
-            proximity_depth=counts(np.broadcast_to(proximity_m, shape), rig.proximity),
-            tactile_depth=counts(np.broadcast_to(tactile_m, shape), rig.tactile),
-            proximity_color=np.zeros((*shape, 3), np.uint8),
-            **times,
-        )
-
-    return make
-
-
 def wall_frame(rig: Rig, index: int, step_m: float = 0.0, bias_m: float = 0.004) -> SensorFrame:
     """A wall with prints 300 mm away and noise of 0.6 and 0.3 mm; the proximity camera reads ``bias_m`` too far."""
     near, far = np.random.default_rng(index).normal(0, (0.0006, 0.0003), (HEIGHT, WIDTH, 2)).transpose(2, 0, 1)
@@ -71,28 +46,6 @@ def wall_frame(rig: Rig, index: int, step_m: float = 0.0, bias_m: float = 0.004)
     return SensorFrame(index, proximity, tactile, color, proximity_time_s=index / 30, tactile_time_s=index / 30)
 
 
-def wall_source(rig: Rig, length: int = 30, **options: float) -> FakeSource:
-    """A recording of the wall."""
-    return FakeSource(length, rig, make=lambda index, rig: wall_frame(rig, index, **options), name="wall")
-
-
-class WallCameras(FrameSource):
-    """Live cameras in front of the wall; silent ones give no more frames."""
-
-    name = "cameras"
-
-    def __init__(self, rig: Rig) -> None:
-        self._rig, self._count = rig, 0
-        self.silent = Event()
-
-    @property
-    def rig(self) -> Rig:
-        return self._rig
-
-    def wait(self, timeout_s: float) -> bool:
-        time.sleep(0.015)
-        return not self.silent.is_set()
-
-    def next_frame(self) -> SensorFrame:
-        self._count += 1
-        return wall_frame(self._rig, self._count)
+def wall_source(rig: Rig, length: int = 30, live: bool = False, **options: float) -> FakeSource:
+    """A recording of the wall, or cameras in front of it."""
+    return FakeSource(length, rig, make=lambda index, rig: wall_frame(rig, index, **options), name="wall", live=live)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
+from fakes import FakeSource
 from rigs import one_place_rig
 from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
-from tactune.core.sources import SeekableSource
 
 UNIT_M = 0.00025
 MEMBRANE_M = 0.3
@@ -16,50 +17,37 @@ def small_rig(width: int, serial: str = "1") -> Rig:
     return one_place_rig(width, 48, 60.0, UNIT_M, serial=serial)
 
 
-class FlatPress(SeekableSource):
-    """A flat membrane at 300 mm, and an object that touches it where a subclass says."""
-
-    def __init__(self, rig: Rig, length: int, with_truth: bool) -> None:
-        super().__init__("small", rig, length)
-        self._with_truth = with_truth
-
-    def press(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the object touches in a frame, and its depth in metres."""
-        raise NotImplementedError
-
-    def read(self, index: int) -> SensorFrame:
-        contact, depth_m = self.press(index)
-        shape = contact.shape
-        return SensorFrame(
-            sequence=index,
-            proximity_depth=np.rint(depth_m / UNIT_M).astype(np.uint16),
-            tactile_depth=np.full(shape, round(MEMBRANE_M / self.rig.tactile.depth_unit_m), np.uint16),
-            proximity_color=np.full((*shape, 3), 90, np.uint8),
-            truth=GroundTruth(contact, np.full(shape, MEMBRANE_M, np.float32)) if self._with_truth else None,
-        )
+def _press(
+    index: int, rig: Rig, side: slice, gap_m: float, with_truth: bool, noise_m: npt.ArrayLike = 0.0
+) -> SensorFrame:
+    """Return a frame of a flat membrane at 300 mm and an object that touches it in a square, with a gap around it."""
+    shape = rig.proximity.intrinsics.shape
+    contact = np.zeros(shape, bool)
+    contact[side, side] = True
+    depth_m = MEMBRANE_M + np.where(contact, 0.0, gap_m) + noise_m
+    return SensorFrame(
+        sequence=index,
+        proximity_depth=np.rint(depth_m / UNIT_M).astype(np.uint16),
+        tactile_depth=np.full(shape, round(MEMBRANE_M / rig.tactile.depth_unit_m), np.uint16),
+        proximity_color=np.full((*shape, 3), 90, np.uint8),
+        truth=GroundTruth(contact, np.full(shape, MEMBRANE_M, np.float32)) if with_truth else None,
+    )
 
 
-class GrowingPress(FlatPress):
+def growing_press(rig: Rig, length: int, with_truth: bool) -> FakeSource:
     """Contact is a square that grows from nothing, frame by frame; around it a gap of 60 mm."""
 
-    def press(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        contact = np.zeros(self.rig.proximity.intrinsics.shape, bool)
-        contact[8 : 8 + 8 * index, 8 : 8 + 8 * index] = True
-        return contact, np.where(contact, MEMBRANE_M, 0.36)
+    def make(index: int, rig: Rig) -> SensorFrame:
+        return _press(index, rig, slice(8, 8 + 8 * index), 0.06, with_truth)
+
+    return FakeSource(length, rig, make=make, name="small")
 
 
-class NoisyPress(FlatPress):
-    """Contact is a square; around it a gap of 3.5 mm; noise of 1 mm.
+def noisy_press(seed: int, rig: Rig, length: int, with_truth: bool) -> FakeSource:
+    """Contact is a square; around it a gap of 3.5 mm; noise of 1 mm. A tolerance of about 0.007 tells both apart."""
 
-    A tolerance of about 0.007 tells both apart best.
-    """
+    def make(index: int, rig: Rig) -> SensorFrame:
+        noise_m = np.random.default_rng([seed, index]).normal(0, 0.001, rig.proximity.intrinsics.shape)
+        return _press(index, rig, slice(8, 40), 0.0035, with_truth, noise_m)
 
-    def __init__(self, seed: int, rig: Rig, length: int, with_truth: bool) -> None:
-        super().__init__(rig, length, with_truth)
-        self._seed = seed
-
-    def press(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        contact = np.zeros(self.rig.proximity.intrinsics.shape, bool)
-        contact[8:40, 8:40] = True
-        noise_m = np.random.default_rng([self._seed, index]).normal(0, 0.001, contact.shape)
-        return contact, np.where(contact, MEMBRANE_M, 0.3035) + noise_m
+    return FakeSource(length, rig, make=make, name="small")

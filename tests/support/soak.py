@@ -13,15 +13,14 @@ from __future__ import annotations
 import argparse
 import gc
 import os
-import re
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import psutil
 from PyQt6.QtCore import QCoreApplication, QEvent, QObject, QTimer
 
 from tactune.app.gui import make_application
@@ -37,7 +36,7 @@ LIMIT_MB_PER_MIN = 1.0
 JUDGED_FROM_MIN = 10.0
 SETTLING_S = 5.0
 #: Qt paints large images on threads of its own pool; it starts them when it likes and ends them after 30 s.
-QT_POOL = Counter({"Thread (pooled)": os.cpu_count() or 1})
+QT_POOL = Counter({"thread Thread (pooled)": os.cpu_count() or 1})
 WARM_UP_FRAMES = 30
 
 
@@ -52,12 +51,11 @@ class Soak(QObject):
         self._window, self._folder = window, folder
         self._seconds, self._cycle_s = seconds, cycle_s
         self._began_s = 0.0
-        self._children: set[int] = set()
+        self._children: list[psutil.Process] = []
         window.worker.recordingEnded.connect(self._recorded)
         window.worker.recordingFailed.connect(self._give_up)
         window.worker.openFailed.connect(lambda name, sentence: self._give_up(sentence))
         window.error_hook.raised.connect(self._give_up)
-        window.worker.stateChanged.connect(self._hear)
         window.context.frameShown.connect(self._start)
 
     def _start(self) -> None:
@@ -66,7 +64,7 @@ class Soak(QObject):
         if result is None or result.processed < WARM_UP_FRAMES:
             return
         self._window.context.frameShown.disconnect(self._start)
-        self._children = children()
+        self._children = psutil.Process().children()
         self._began_s = time.monotonic()
         self._record()
 
@@ -91,38 +89,22 @@ class Soak(QObject):
             status.path.unlink(missing_ok=True)
         gc.collect()
         seconds = time.monotonic() - self._began_s
-        self.memory.append((seconds / 60, resident_mb(os.getpid()), sum(map(resident_mb, self._children))))
+        self.memory.append((seconds / 60, resident_mb(psutil.Process()), sum(map(resident_mb, self._children))))
         if seconds < self._seconds:
             self._record()
             return
-        if children() != self._children:
+        if psutil.Process().children() != self._children:
             self.problems.append("the capture process was restarted")
         self._window.close_without_asking()
-
-    def _hear(self, state: object) -> None:
-        """Print what the source has to say; a healthy source says nothing."""
-        message = state.health.message  # type: ignore[attr-defined]
-        if self._children and message:
-            print(f"the source said    {message}")
 
     def _give_up(self, sentence: str) -> None:
         self.problems.append(sentence)
         self._window.close_without_asking()
 
 
-def children() -> set[int]:
-    """Return the process numbers of all children of this process."""
-    tasks = Path("/proc/self/task").iterdir()
-    return {int(number) for task in tasks for number in (task / "children").read_text().split()}
-
-
-def resident_mb(pid: int) -> float:
+def resident_mb(process: psutil.Process) -> float:
     """Return the resident memory of a process in MB; 0 where it has ended."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    except OSError:
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return float(process.memory_info().rss) / 1e6 if process.is_running() else 0.0
 
 
 def check_memory(samples: list[tuple[float, float, float]]) -> list[str]:
@@ -141,45 +123,23 @@ def check_memory(samples: list[tuple[float, float, float]]) -> list[str]:
     return wrong
 
 
-def open_things() -> dict[str, Counter[str]]:
-    """Count the resources that must be released: threads, processes, descriptors, shared-memory segments."""
-    return {
-        "Python threads": Counter(thread.name for thread in threading.enumerate() if not is_foreign(thread)),
-        "all threads": Counter(name_of(task) for task in Path("/proc/self/task").iterdir()) - QT_POOL,
-        "processes": Counter("process" for _ in children()),
-        "descriptors": Counter(target(entry) for entry in Path("/proc/self/fd").iterdir()),
-        "shared memory": Counter(path.name for path in Path("/dev/shm").iterdir()),  # only listed
-    }
+def open_things() -> Counter[str]:
+    """Count what must be released: threads by name, processes, descriptors, shared-memory segments."""
+    me = psutil.Process()
+    threads = (Path(f"/proc/self/task/{thread.id}/comm") for thread in me.threads())
+    counted = Counter(f"thread {name.read_text().strip()}" for name in threads if name.exists()) - QT_POOL
+    counted.update({"process": len(me.children()), "descriptor": me.num_fds()})
+    counted.update(f"shared memory {path.name}" for path in Path("/dev/shm").iterdir())  # only listed
+    return counted
 
 
-def is_foreign(thread: threading.Thread) -> bool:
-    """Return whether the thread was not started by Python, but for example by Qt."""
-    return thread.name.startswith("Dummy-")
-
-
-def name_of(task: Path) -> str:
-    """Return the name of a thread; a thread without one has that of the process."""
-    try:
-        return (task / "comm").read_text().strip()
-    except OSError:  # it has just ended
-        return ""
-
-
-def target(entry: Path) -> str:
-    """Return the target of a file descriptor, with all digits replaced."""
-    try:
-        return re.sub(r"\d+", "N", str(entry.readlink()))
-    except OSError:  # the descriptor with which this folder is read
-        return ""
-
-
-def settle(before: dict[str, Counter[str]]) -> dict[str, Counter[str]]:
+def settle(before: Counter[str]) -> Counter[str]:
     """Wait until the new resources are released, at most `SETTLING_S`; return what is open then."""
     deadline_s = time.monotonic() + SETTLING_S
     while True:
         gc.collect()
         after = open_things()
-        if time.monotonic() > deadline_s or not any(after[name] - before[name] for name in after):
+        if time.monotonic() > deadline_s or not after - before:
             return after
         time.sleep(0.1)
 
@@ -209,10 +169,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--source", default="live:sim")
     parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--recording-seconds", type=float, default=10.0, help="length of each recording")
     options = parser.parse_args()
     seconds = 60 * options.minutes
-    cycle_s = min(options.recording_seconds, seconds / 20)
+    cycle_s = min(10.0, seconds / 20)
     # A first window loads what is kept for the whole process (compiled kernels, thread pools, fonts).
     warm_up = run_window(options.source, 8.0, 4.0)
     if not warm_up.frames:
@@ -225,11 +184,9 @@ def main() -> int:
     print(f"recorded          {soak.frames} frames in {soak.recordings} recordings")
     wrong += check_memory(soak.memory)
     del soak
-    after = settle(before)
-    for name, things in after.items():
-        print(f"{name:<17} {before[name].total()} before, {things.total()} after")
-        if left := things - before[name]:
-            wrong.append(f"{name} left behind: {', '.join(left.elements())}")
+    left = settle(before) - before
+    print(f"left behind       {left.total()}")
+    wrong += [f"{name} left behind" for name in left]
     print("\n".join(f"WRONG: {sentence}" for sentence in wrong) or "all is well")
     return 1 if wrong else 0
 

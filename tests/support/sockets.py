@@ -2,35 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import random
-import re
 import socket
-from pathlib import Path
 
-_LISTENING, _UNCONNECTED = "0A", "07"
+import psutil
+
+_KINDS = {socket.SOCK_STREAM: "tcp", socket.SOCK_DGRAM: "udp"}
 
 
 def listening(pid: int | None = None) -> set[tuple[str, str, int]]:
-    """Return protocol, address (IPv4) and port of every TCP and UDP socket on which a process listens."""
-    process = Path("/proc") / str(pid or os.getpid())
-    inodes = set()
-    for entry in (process / "fd").iterdir():
-        try:
-            match = re.fullmatch(r"socket:\[(\d+)\]", str(entry.readlink()))
-        except FileNotFoundError:
-            continue
-        if match:
-            inodes.add(match[1])
-    found = set()
-    for protocol, state in (("tcp", _LISTENING), ("tcp6", _LISTENING), ("udp", _UNCONNECTED), ("udp6", _UNCONNECTED)):
-        for line in (process / "net" / protocol).read_text().splitlines()[1:]:
-            words = line.split()
-            if words[3] == state and words[9] in inodes:
-                address, _, port = words[1].partition(":")
-                octets = bytes.fromhex(address)[::-1] if len(address) == 8 else b""
-                found.add((protocol, ".".join(map(str, octets)), int(port, 16)))
-    return found
+    """Return protocol, address and port of every TCP and UDP socket on which a process listens."""
+    opened = psutil.Process(pid).net_connections("inet")
+    waiting = (psutil.CONN_LISTEN, psutil.CONN_NONE)
+    return {(_KINDS[each.type], *each.laddr) for each in opened if each.status in waiting and not each.raddr}
 
 
 def free_domain() -> int:

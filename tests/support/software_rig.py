@@ -72,7 +72,7 @@ _BASE_DEPTH, _BASE_COLOR = _bases()
 class SoftwareCamera:
     """One software device: its sensors, options and what it sends."""
 
-    def __init__(self, role: CameraRole, serial: str = "", unit_m: float | None = None, model: str = "") -> None:
+    def __init__(self, role: CameraRole, unit_m: float | None = None) -> None:
         rs = load_driver()
         self._rs = rs
         self.role: CameraRole = role
@@ -87,9 +87,9 @@ class SoftwareCamera:
         # 2.54 comes with a name, to which register_info would append; later ones have none to update.
         has_name = self.device.supports(rs.camera_info.name)
         name = self.device.update_info if has_name else self.device.register_info
-        name(rs.camera_info.name, model or f"Intel RealSense {'L515' if is_l515 else 'D405'}")
+        name(rs.camera_info.name, f"Intel RealSense {'L515' if is_l515 else 'D405'}")
         for info, text in {
-            rs.camera_info.serial_number: serial or (PROXIMITY_SERIAL if is_l515 else TACTILE_SERIAL),
+            rs.camera_info.serial_number: PROXIMITY_SERIAL if is_l515 else TACTILE_SERIAL,
             rs.camera_info.firmware_version: "01.05.08.01" if is_l515 else "05.12.14.100",
             rs.camera_info.usb_type_descriptor: "3.2",
             rs.camera_info.product_line: product,
@@ -191,15 +191,11 @@ def _extent(rs: Any, low: float, high: float, step: float, default: float) -> An
 def _options(rs: Any, is_l515: bool) -> dict[Any, tuple[float, float, float, float]]:
     option = rs.option
     if is_l515:
-        table = {
+        return {
             option.visual_preset: (0, 5, 1, 3),
             option.laser_power: (0, 100, 1, 100),
-            option.confidence_threshold: (0, 3, 1, 1),
             option.min_distance: (0, 1600, 1, 190),
         }
-        if hasattr(option, "receiver_gain"):
-            table[option.receiver_gain] = (8, 18, 1, 9)
-        return table
     return {
         option.visual_preset: (0, 5, 1, 0),
         option.exposure: (1, 165_000, 1, 33_000),
@@ -238,12 +234,10 @@ class SoftwareRig:
         role = command.camera
         if command.action == "add":
             self.cameras[role] = SoftwareCamera(role)
-        elif role in self.cameras:
-            self._change(self.cameras[role], command)
-
-    def _change(self, camera: SoftwareCamera, command: Command) -> None:
+            return
+        camera = self.cameras[role]
         if command.action == "remove":
-            self._removed.append(self.cameras.pop(camera.role))
+            self._removed.append(self.cameras.pop(role))
         elif command.action == "stutter":
             camera.hold_until_s = time.time() + command.value
         elif command.action == "streams":
@@ -259,19 +253,11 @@ class SoftwareRig:
             # after a pause of a busy computer no burst, which would be more than a driver's queue holds
             if self._quit.wait(max(due_s - time.time(), 0.01)):
                 return
-            if commands is not None:
-                self._obey_all(commands)
+            while commands is not None and not commands.empty():  # this thread alone takes them
+                self.obey(commands.get())
             for camera in list(self.cameras.values()):
                 camera.send(number, due_s)
             number += 1
-
-    def _obey_all(self, commands: queue.Queue[Command]) -> None:
-        while True:
-            try:
-                command = commands.get_nowait()
-            except queue.Empty:
-                return
-            self.obey(command)
 
 
 class SoftwareSource(CameraSource):

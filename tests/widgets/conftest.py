@@ -4,7 +4,6 @@ import pyqtgraph as pg
 import pytest
 
 from hands import shown
-from panel_steering import Recorder
 from seen_clouds import shown_view
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
@@ -31,6 +30,16 @@ def view(qtbot):
 @pytest.fixture
 def panel(qtbot):
     return shown(qtbot, ParameterPanel(), 340, 1000)
+
+
+class Recorder:
+    """Everything a panel emitted."""
+
+    def __init__(self, panel):
+        self.edits, self.resets, self.modes = [], [], []
+        panel.valueEdited.connect(lambda *edit: self.edits.append(edit))
+        panel.valuesEdited.connect(lambda *reset: self.resets.append(reset))
+        panel.eyedropperRequested.connect(self.modes.append)
 
 
 @pytest.fixture

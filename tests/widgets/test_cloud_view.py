@@ -1,4 +1,4 @@
-"""Drawing and messages of a cloud view."""
+"""Drawing and messages of a cloud view, its framing, mouse, keys and wipe."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtTest import QTest
 
+from hands import turn_wheel
 from seen_clouds import (
     BLUE,
     FRONT,
@@ -16,6 +19,7 @@ from seen_clouds import (
     canvas_of,
     cloud_of,
     colored,
+    drag,
     picture,
     pixels_of,
     red_wall,
@@ -199,3 +203,126 @@ def test_a_large_view_is_drawn_at_half_its_resolution(qtbot, drawn, monkeypatch)
         picture(view)
         canvas = canvas_of(view)
         assert drawn[-1] == (ratio * canvas.width(), ratio * canvas.height())
+
+
+def test_the_scene_follows_the_hand(view):
+    view.set_cloud(cloud_of(wall()))
+    before, seen = view.camera(), picture(view)
+    drag(view, (100, 100), (140, 120), Qt.MouseButton.LeftButton)
+    after = view.camera()
+    assert after.azimuth < before.azimuth, "to the right, so the eye goes left"
+    assert after.elevation > before.elevation
+    assert (after.distance, after.target) == (before.distance, before.target)
+    assert (picture(view) != seen).any()
+
+
+def test_the_wheel_zooms_about_the_cursor(view):
+    view.set_camera(FRONT)
+    canvas = canvas_of(view)
+    size = canvas.width(), canvas.height()
+    point = np.array([0.05, -0.04, 0.3])
+    u, v, _ = FRONT.project([point], *size)[0]
+    turn_wheel(canvas, QPointF(u, v), 2, view)
+    assert view.camera().distance < FRONT.distance
+    np.testing.assert_allclose(view.camera().project([point], *size)[0, :2], (u, v), atol=0.01)
+    turn_wheel(canvas, QPointF(u, v), -2, view)
+    assert view.camera().distance == pytest.approx(FRONT.distance)
+
+
+def test_keys_orbit_zoom_and_choose_viewpoints(view):
+    view.set_cloud(cloud_of(wall()))
+    view.setFocus()
+    start = view.camera()
+
+    def after(key):
+        QTest.keyClick(view, key)
+        return view.camera()
+
+    assert after(Qt.Key.Key_Right).azimuth > start.azimuth
+    assert after(Qt.Key.Key_Left).azimuth == pytest.approx(start.azimuth)
+    assert after(Qt.Key.Key_Up).elevation > start.elevation
+    assert after(Qt.Key.Key_Down).elevation == pytest.approx(start.elevation)
+    assert after(Qt.Key.Key_Plus).distance < start.distance
+    assert after(Qt.Key.Key_Minus).distance == pytest.approx(start.distance)
+    assert after(Qt.Key.Key_T).elevation == pytest.approx(np.pi / 2)
+    assert after(Qt.Key.Key_S).azimuth == pytest.approx(np.pi / 2)
+    reset = after(Qt.Key.Key_R)
+    assert (reset.azimuth, reset.elevation) == (start.azimuth, start.elevation)
+    assert reset.target == pytest.approx(start.target)
+
+
+# Framing
+
+
+def extent(view, color):
+    """Left, top, right and bottom of a colour as shares of the canvas."""
+    image = picture(view)
+    pixels = pixels_of(image, color)
+    size = np.array(image.shape[1::-1])
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0) + 1]) / np.tile(size, 2)
+
+
+def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_steers(view, qtbot):
+    view.set_cloud(cloud_of(wall(700), index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
+    for width, height in ((420, 360), (300, 500), (700, 250)):
+        view.resize(width, height)
+        qtbot.waitUntil(lambda width=width: canvas_of(view).width() <= view.width() == width)
+        left, top, right, bottom = extent(view, RED)
+        assert min(left, top) >= 0
+        assert max(right, bottom) <= 1
+        assert max(right - left, bottom - top) > 0.8
+    view.set_camera(FRONT)
+    view.resize(420, 360)
+    view.set_cloud(None)
+    view.set_cloud(cloud_of(wall(500)))
+    assert view.camera() == FRONT
+
+
+#: Width of what the wipe paints beside its line, in pixels, and height of the names above.
+GRIP, NAMES = 10, 40
+
+
+def green_wall():
+    return cloud_of(wall(), index=np.zeros((48, 64), np.uint8), lut=colored(GREEN))
+
+
+@pytest.fixture
+def red_view(qtbot):
+    made = shown_view(qtbot, "Patch")
+    made.set_camera(FRONT)
+    made.set_cloud(red_wall())
+    return made
+
+
+@pytest.mark.parametrize("share", [0.0, 0.35, 0.8, 1.0])
+def test_each_side_is_what_its_cloud_alone_shows(red_view, share):
+    red = picture(red_view)
+    red_view.set_cloud(green_wall())
+    green = picture(red_view)
+    red_view.set_cloud(red_wall())
+    red_view.set_wipe(Wipe(share, "A", "B"))
+    red_view.set_right(green_wall())
+    both = picture(red_view)
+    line = round(share * both.shape[1])
+    left, right = np.s_[NAMES:, : max(line - GRIP, 0)], np.s_[NAMES:, line + GRIP :]
+    assert (both[left] == red[left]).all()
+    assert (both[right] == green[right]).all()
+    assert (both[NAMES:] == RED).all(axis=2).any() == (share > 0)
+    assert (both[NAMES:] == GREEN).all(axis=2).any() == (share < 1)
+    red_view.set_wipe(None)
+    assert (picture(red_view) == red).all()
+    assert red_view.canvas.right is None
+
+
+def test_a_wipe_that_ends_while_it_is_dragged_does_not_stick_to_the_mouse(red_view):
+    canvas, dragged, left = red_view.canvas, [], Qt.MouseButton.LeftButton
+    red_view.wipeDragged.connect(dragged.append)
+    red_view.set_wipe(Wipe(0.5, "A", "B"))
+    QTest.mousePress(canvas, left, pos=QPoint(canvas.width() // 2, 100))
+    QTest.mouseMove(canvas, QPoint(canvas.width() // 4, 100))
+    assert dragged == [pytest.approx(0.25, abs=0.01)]
+    red_view.set_wipe(None)
+    QTest.mouseRelease(canvas, left, pos=QPoint(20, 100))
+    red_view.set_wipe(Wipe(0.5, "A", "B"))
+    QTest.mouseMove(canvas, QPoint(40, 100))
+    assert len(dragged) == 1

@@ -4,13 +4,11 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from hands import shown, type_into
+from hands import LEFT, shown, type_into
 from tactune.core.preset import Preset
 from tactune.widgets.basics.fields import section_fields
 from tactune.widgets.parameters.editors import NumbersEditor
 from tactune.widgets.parameters.slider import Scale, Slider
-
-LEFT = Qt.MouseButton.LeftButton
 
 
 def spec_of(path):
@@ -26,20 +24,6 @@ def record(widget):
     edits = []
     widget.edited.connect(lambda value, gesture: edits.append((value, gesture)))
     return edits
-
-
-def point_at(widget, value):
-    left, length = widget.slider.travel()
-    spec = widget.spec
-    fraction = Scale(*spec.slider, step=spec.step, log=spec.log).fraction(value)
-    return QPoint(round(left + length * fraction), widget.slider.height() // 2)
-
-
-def drag(widget, start, *targets):
-    QTest.mousePress(widget.slider, LEFT, pos=point_at(widget, start))
-    for target in targets:
-        QTest.mouseMove(widget.slider, point_at(widget, target))
-    QTest.mouseRelease(widget.slider, LEFT, pos=point_at(widget, targets[-1]))
 
 
 def test_typing_takes_effect_on_enter(qtbot):

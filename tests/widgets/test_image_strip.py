@@ -1,13 +1,29 @@
+"""The strip of images: what its panes show, mouse and keys, and the colours that its eyedropper picks."""
+
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt
 from PyQt6.QtTest import QTest
 
-from hands import image_position, shown, turn_wheel
+from hands import LEFT, image_position, shown, turn_wheel
+from tactune.core.preset import MaskSection
+from tactune.widgets.basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
+from tactune.widgets.images.eyedropper import new_ranges
 from tactune.widgets.images.image_strip import PANES, ImageStrip
-from tactune.widgets.images.strip_render import RenderedStrip, color_pane, depth_pane, difference_pane, stride_for
+from tactune.widgets.images.strip_render import (
+    NO_VALUE_RGB,
+    RenderedStrip,
+    color_pane,
+    depth_pane,
+    difference_limit,
+    difference_pane,
+    outline_contact,
+    stride_for,
+)
 
-LEFT = Qt.MouseButton.LeftButton
 NONE = Qt.KeyboardModifier.NoModifier
 HEIGHT, WIDTH = 480, 640
 
@@ -126,3 +142,145 @@ def test_the_region_stands_on_every_image(strip):
         assert pane.region.rect() == QRectF(99.5, 79.5, 400, 300)
     strip.set_region(None)
     assert not any(pane.region.isVisible() for pane in strip.panes.values())
+
+
+HEIGHT, WIDTH = 48, 64
+
+
+def depth():
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    return (0.2 + 0.001 * u + 0.0001 * v).astype(np.float32)
+
+
+def drawn(stride=1):
+    """Return one image of each kind, of every ``stride``-th pixel."""
+    every = np.s_[::stride, ::stride]
+    color = np.dstack([*np.mgrid[:HEIGHT, :WIDTH], np.full((HEIGHT, WIDTH), 7)]).astype(np.uint8)
+    expected, measured = depth()[every], (depth() + np.float32(0.01) * np.cos(depth() * 200))[every]
+    return [color_pane(color[every], None), depth_pane(expected, (0.2, 0.3)), difference_pane(expected, measured, 0.03)]
+
+
+def rgb(pane):
+    return pane[:, :, 2::-1].astype(int)
+
+
+def test_depth_has_the_colors_of_the_table_and_none_is_flat():
+    proximity = np.tile((0.2 + 0.001 * np.arange(WIDTH)).astype(np.float32), (HEIGHT, 1))
+    proximity[5:9, 7:13] = np.nan
+    shown = rgb(depth_pane(proximity, (0.2, 0.263)))
+    lut = depth_lut()[:, :3].astype(int)
+    np.testing.assert_array_equal(shown[0, 0], lut[1])
+    np.testing.assert_array_equal(shown[0, -1], lut[255])
+    rows = 1 + np.arange(WIDTH) / 63 * 254
+    assert np.abs(shown[0] - lut[np.rint(rows).astype(int)]).max() <= 3
+    assert (shown[5:9, 7:13] == NO_VALUE_RGB).all()
+    assert not (lut == NO_VALUE_RGB).all(axis=1).any()
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.01, 0.03, 0.2])
+def test_the_band_is_one_color_and_nothing_else_has_it(tolerance):
+    relative = np.tile((0.002 * (np.arange(WIDTH) - 32)).astype(np.float32), (HEIGHT, 1))
+    expected, limit = np.ones_like(relative), difference_limit(tolerance)
+    shown = rgb(difference_pane(expected, expected - relative, tolerance))
+    band = difference_lut(tolerance, limit)[128, :3]
+    in_band = (shown == band).all(axis=2)
+    quantum = limit / 127
+    magnitude = np.abs(relative)
+    assert in_band[magnitude < tolerance - quantum].all()
+    assert not in_band[magnitude > tolerance + quantum].any()
+
+
+def test_contact_is_outlined_in_every_pane():
+    contact = np.zeros((HEIGHT, WIDTH), bool)
+    contact[10:30, 20:50] = True
+    outlined = drawn()
+    outline_contact(outlined, contact)
+    for before, after in zip(drawn(), outlined, strict=True):
+        changed = (before != after).any(axis=2)
+        assert (rgb(after)[changed] == CONTACT_RGB).all()
+        assert changed[10, 20:50].all()
+        assert not changed[14:26, 24:46].any()
+        assert not changed[~contact].any()
+
+
+@given(hint=st.integers(1, 200))
+@settings(max_examples=30, deadline=None)
+def test_a_small_pane_gets_every_nth_pixel(hint):
+    stride = stride_for(WIDTH, hint)
+    assert stride == 1 or WIDTH / stride >= 0.9 * hint
+    for large, reduced in zip(drawn(), drawn(stride), strict=True):
+        np.testing.assert_array_equal(reduced, large[::stride, ::stride])
+
+
+FULL = MaskSection(hue=(0, 179), saturation=(0, 255), value=(0, 255))
+
+
+def every_color():
+    """A coarse grid over the whole HSV cube, as (N, 3)."""
+    h, s, v = np.meshgrid(np.arange(180), np.arange(0, 256, 15), np.arange(0, 256, 15), indexing="ij")
+    return np.stack([h, s, v], axis=-1).reshape(-1, 3).astype(np.uint8)
+
+
+COLORS = every_color()
+
+
+def patch_of(hue, saturation, value, spread, seed):
+    """7 x 7 RGB pixels scattered around an HSV colour."""
+    rng = np.random.default_rng(seed)
+    hsv = np.empty((7, 7, 3), np.int64)
+    hsv[..., 0] = (hue + rng.integers(-spread, spread + 1, (7, 7))) % 180
+    hsv[..., 1] = np.clip(saturation + rng.integers(-spread, spread + 1, (7, 7)), 0, 255)
+    hsv[..., 2] = np.clip(value + rng.integers(-spread, spread + 1, (7, 7)), 0, 255)
+    return cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2RGB)
+
+
+def contains(mask, hsv):
+    """Which of the colours, H, S and V, a mask covers, as OpenCV finds them."""
+    (low, high), (from_s, to_s), (from_v, to_v) = mask.hue, mask.saturation, mask.value
+    arcs = [(low, high)] if low <= high else [(low, 179), (0, high)]
+    found = [cv2.inRange(hsv.reshape(1, -1, 3), (a, from_s, from_v), (b, to_s, to_v)) for a, b in arcs]
+    return np.any(found, axis=0).reshape(hsv.shape[:-1])
+
+
+def to_hsv(rgb):
+    return cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
+
+
+hues = st.integers(0, 179)
+byte_spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
+ranges = st.builds(MaskSection, hue=st.tuples(hues, hues), saturation=byte_spans, value=byte_spans)
+patches = st.builds(
+    patch_of, hues, st.integers(0, 255), st.integers(0, 255), spread=st.integers(0, 12), seed=st.integers(0, 99)
+)
+noise = st.integers(0, 999).map(lambda seed: np.random.default_rng(seed).integers(0, 256, (7, 7, 3)).astype(np.uint8))
+samples = st.one_of(patches, noise)
+
+
+@given(samples, ranges)
+def test_set_covers_nine_tenths_of_every_channel(rgb, present):
+    fresh = new_ranges(rgb, present, "set")
+    hsv = to_hsv(rgb).reshape(-1, 3)
+    for channel, span in ((1, fresh.saturation), (2, fresh.value)):
+        assert np.mean((hsv[:, channel] >= span[0]) & (hsv[:, channel] <= span[1])) >= 0.9
+    colorful = hsv[(hsv[:, 1] >= 25) & (hsv[:, 2] >= 25), 0].astype(int)
+    if len(colorful):
+        low, high = fresh.hue
+        inside = (colorful >= low) & (colorful <= high) if low <= high else (colorful >= low) | (colorful <= high)
+        assert np.mean(inside) >= 0.9
+
+
+@given(samples, ranges)
+@settings(max_examples=60)
+def test_expand_covers_both(rgb, present):
+    wider = contains(new_ranges(rgb, present, "expand"), COLORS)
+    assert wider[contains(present, COLORS)].all()
+    assert wider[contains(new_ranges(rgb, present, "set"), COLORS)].all()
+
+
+def test_a_sample_around_red_wraps():
+    red = patch_of(hue=1, saturation=200, value=200, spread=4, seed=0)
+    fresh = new_ranges(red, FULL, "set")
+    assert fresh.hue[0] > 150
+    assert fresh.hue[1] < 30
+    assert fresh.hue[0] > fresh.hue[1]
+    assert not contains(fresh, np.array([90, 200, 200], np.uint8))

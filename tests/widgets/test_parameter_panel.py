@@ -3,20 +3,18 @@
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox
 
-from hands import type_into
-from panel_steering import EYE3, EYE4, LEFT
+from any_preset import HOMOGRAPHY, POSE, presets
+from hands import LEFT, type_into
 from tactune.core.preset import (
     CONTACT_TESTS,
     AlignmentSection,
     HomographyAlignment,
     MaskSection,
     MembraneSection,
-    OutlierSection,
     Preset,
     RangeSection,
     RegionSection,
@@ -24,43 +22,6 @@ from tactune.core.preset import (
     ToleranceSection,
 )
 from tactune.widgets.parameters.parameter_panel import SECTIONS, fields_of
-
-hues = st.tuples(st.integers(0, 179), st.integers(0, 179))
-spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
-depths = st.tuples(st.floats(0, 10), st.floats(0, 10)).filter(lambda p: p[0] != p[1]).map(lambda p: (min(p), max(p)))
-pixels = st.integers(0, 16384)
-presets = st.builds(
-    Preset,
-    alignment=st.builds(
-        AlignmentSection,
-        model=st.sampled_from(["rigid", "homography"]),
-        rigid=st.builds(RigidAlignment, T_proximity_tactile=st.sampled_from([None, EYE4])),
-        homography=st.builds(
-            HomographyAlignment, H_p_t=st.sampled_from([None, EYE3]), plane_distance_m=st.floats(0.05, 2.0)
-        ),
-        depth_scale=st.floats(0.8, 1.25),
-        depth_offset_m=st.floats(-0.1, 0.1),
-    ),
-    mask=st.builds(MaskSection, enabled=st.booleans(), hue=hues, saturation=spans, value=spans),
-    contact_test=st.sampled_from(["tolerance", "membrane"]),
-    tolerance=st.builds(ToleranceSection, t=st.floats(1e-5, 1.0)),
-    membrane=st.builds(
-        MembraneSection, gap_m=st.floats(0.0, 0.005), trust_m=st.floats(0.001, 0.2), shape_px=st.floats(0.5, 30.0)
-    ),
-    outliers=st.builds(
-        OutlierSection,
-        enabled=st.booleans(),
-        k=st.integers(1, 1000),
-        ratio=st.floats(0.0, 100.0, exclude_min=True),
-        min_cluster_area_mm2=st.floats(0.0, 1e6),
-    ),
-    range=st.builds(RangeSection, enabled=st.booleans(), limits_m=depths),
-    region=st.builds(
-        RegionSection,
-        enabled=st.booleans(),
-        rectangle=st.tuples(pixels, pixels, st.integers(1, 16384), st.integers(1, 16384)),
-    ),
-)
 
 
 @given(preset=presets)
@@ -193,10 +154,12 @@ def test_only_the_chosen_alignment_is_shown(panel, seen):
     assert not pose.isVisible()
     assert plane.isVisible()
     assert plane.isEnabled()
-    panel.set_preset(Preset(alignment=AlignmentSection(model="homography", homography=HomographyAlignment(H_p_t=EYE3))))
+    panel.set_preset(
+        Preset(alignment=AlignmentSection(model="homography", homography=HomographyAlignment(H_p_t=HOMOGRAPHY)))
+    )
     assert not plane.isEnabled()
     assert "12.5" in panel.rows["alignment.homography.H_p_t"].widget.text()
-    panel.set_preset(Preset(alignment=AlignmentSection(rigid=RigidAlignment(T_proximity_tactile=EYE4))))
+    panel.set_preset(Preset(alignment=AlignmentSection(rigid=RigidAlignment(T_proximity_tactile=POSE))))
     assert " 0.04" in pose.text()
     assert "-0.00123" in pose.text()
 

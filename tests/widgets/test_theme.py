@@ -1,26 +1,25 @@
-"""Colours of the themes, the focus ring, tooltips in lines of readable length, and the badge of an old image."""
+"""Colours of the themes and of the images, the focus ring, the badge of an old image, and messages over the views."""
 
-import pyqtgraph as pg
+import cv2
+import numpy as np
 import pytest
-from PyQt6.QtCore import QRect, Qt
+from PyQt6.QtCore import QPoint, QRect, Qt
 from PyQt6.QtGui import QPalette
-from PyQt6.QtWidgets import QPushButton, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QFrame, QPushButton, QToolButton, QVBoxLayout, QWidget
 
-from contrast import contrast_ratio
+from colour_vision import EYES, contrast_ratio, nearest
+from hands import LEFT, shown
+from tactune.core.model.patch import Provenance
+from tactune.widgets.basics import colormaps
+from tactune.widgets.basics import messages as module
 from tactune.widgets.basics.controls import NoteLabel
+from tactune.widgets.basics.messages import Messages, Severity
 from tactune.widgets.basics.style import apply_theme
-from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
+from tactune.widgets.basics.theme import theme_colors
 from tactune.widgets.images.image_pane import ImagePane
 
 NAMES = ("light", "dark")
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("background", ["window", "base", "alternate", "button"])
-@pytest.mark.parametrize("text", ["text", "muted", "accent_text", "error"])
-def test_text_is_readable_on_every_background(name, background, text):
-    colors = theme_colors(name)
-    assert contrast_ratio(getattr(colors, text), getattr(colors, background)) >= 4.5
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -29,20 +28,6 @@ def test_text_is_readable_on_every_background(name, background, text):
 def test_fields_grooves_and_the_focus_are_seen(name, background, line):
     colors = theme_colors(name)
     assert contrast_ratio(getattr(colors, line), getattr(colors, background)) >= 3.0
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_theme_reaches_qt_and_pyqtgraph(qapp, qtbot, name):
-    widget = QWidget()
-    qtbot.addWidget(widget)
-    assert apply_theme(qapp, name) == name
-    qapp.processEvents()
-    assert theme_name() == name
-    colors = theme_colors()
-    assert colors == theme_colors(name)
-    assert widget.palette().color(QPalette.ColorRole.Window).name() == colors.window
-    assert widget.palette().color(QPalette.ColorRole.Highlight).name() == ACCENT
-    assert pg.getConfigOption("background") == colors.base
 
 
 def test_an_image_has_the_window_s_background_after_a_change_of_theme(qapp, qtbot):
@@ -106,3 +91,106 @@ def test_a_note_is_in_the_colour_of_errors_for_errors_only(qapp, qtbot):
         assert note.palette().color(QPalette.ColorRole.WindowText).name() == theme_colors(name).error
     note.say("Applied.")
     assert note.palette().color(QPalette.ColorRole.WindowText).name() == usual
+
+
+@pytest.fixture
+def views(qtbot):
+    """A widget with messages over it, beside another that must not move."""
+    window = QWidget()
+    window.over, window.below = QWidget(), QFrame()
+    layout = QVBoxLayout(window)
+    layout.addWidget(window.over, 1)
+    layout.addWidget(window.below, 1)
+    window.messages = Messages(window.over)
+    return shown(qtbot, window, 600, 700)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(module, "NOTE_MS", 30)
+    monkeypatch.setattr(module, "CHARACTER_MS", 0)
+
+
+def test_messages_push_nothing_aside_and_stay_inside(views):
+    before = views.over.geometry(), views.below.geometry()
+    for key in "abcde":
+        views.messages.show_message(key, Severity.ERROR, f"{key}: " + "a long sentence " * 20)
+    QApplication.processEvents()
+    assert (views.over.geometry(), views.below.geometry()) == before
+    assert views.over.rect().contains(views.messages.geometry())
+    for message in map(views.messages.by_key.get, "abcde"):
+        assert not message.isVisible() or message.height() >= message.heightForWidth(message.width())
+
+
+def test_the_newest_three_are_on_the_screen_the_newest_on_top_and_errors_before_notes(views):
+    views.messages.show_message("error", Severity.ERROR, "Error.")
+    for key in "abc":
+        views.messages.show_message(key, Severity.INFO, f"{key}.")
+    QApplication.processEvents()
+    shown = {key: views.messages.by_key.get(key) for key in ("error", "a", "b", "c")}
+    assert [key for key, message in shown.items() if message.isVisible()] == ["error", "b", "c"]
+    assert shown["c"].y() < shown["b"].y() < shown["error"].y()
+
+
+def test_only_a_note_without_buttons_goes_by_itself(views, quick, qtbot):
+    views.messages.show_message("note", Severity.INFO, "Written to a.ply.")
+    views.messages.show_message("answer", Severity.INFO, "Recorded.", [("Open", lambda: None)])
+    views.messages.show_message("error", Severity.ERROR, "Damaged.")
+    qtbot.waitUntil(lambda: views.messages.sentences() == ["Recorded.", "Damaged."])
+
+
+def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(views):
+    for key in ("cross", "escape"):
+        views.messages.show_message(key, Severity.ERROR, key)
+    views.messages.show_message("left", Severity.ERROR, "left", subject="other")
+    views.messages.show_message("of", Severity.ERROR, "of the source", subject="source")
+    views.messages.clear_subject("source")
+    assert views.messages.sentences() == ["cross", "escape", "left"]
+    views.messages.clear("left")
+    assert views.messages.focus_newest()
+    QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Escape)
+    assert views.messages.sentences() == ["cross"]
+    [cross] = views.messages.by_key["cross"].findChildren(QToolButton)
+    QTest.mouseClick(cross, LEFT, pos=QPoint(4, 4))
+    assert views.messages.sentences() == [] and not views.messages.isVisible()
+
+
+THEMES = ("light", "dark")
+
+
+def lab(colors):
+    """CIE L*a*b* of RGB rows."""
+    rgb = (np.asarray(colors, dtype=np.float32) / 255).reshape(-1, 1, 3)
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)).reshape(-1, 3)
+
+
+def test_depth_colours_are_perceptually_uniform_and_get_darker():
+    colors = lab(colormaps.depth_lut()[:, :3])
+    assert (np.diff(colors[:, 0]) < 0.5).all(), "lightness falls from near to far, 8-bit rounding aside"
+    steps = np.linalg.norm(colors[8:] - colors[:-8], axis=1)
+    assert steps.max() / steps.min() < 2.5
+    assert (colormaps.depth_lut()[:, 3] == 255).all()
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_the_band_and_both_signs_are_told_apart_with_any_colour_vision(eye):
+    lut = colormaps.difference_lut(0.03)
+    rows = {"low end": 1, "below": 85, "band": 128, "above": 171, "high end": 255}
+    assert nearest({name: lut[row, :3] for name, row in rows.items()}, eye)[0] > 8
+
+
+@pytest.mark.parametrize("eye", EYES)
+@pytest.mark.parametrize("theme", THEMES)
+def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme, eye):
+    lut = colormaps.provenance_lut(theme)
+    context = {
+        Provenance.NO_PROXIMITY_DEPTH,
+        Provenance.OUTSIDE_REGION,
+        Provenance.OUTSIDE_RANGE,
+        Provenance.OUTSIDE_TOLERANCE,
+    }
+    strong = {provenance: lut[provenance, :3] for provenance in Provenance if provenance not in context}
+    assert nearest(strong, eye)[0] > 20
+    for provenance in context:
+        for reason, rgb in strong.items():
+            assert nearest({provenance: lut[provenance, :3], reason: rgb}, eye)[0] > 15

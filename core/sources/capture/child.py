@@ -168,10 +168,12 @@ class _Capture:
     def run(self, order: bytes) -> None:
         """Open the source and capture until the parent ends or the source does."""
         Thread(target=self._listen, daemon=True).start()
+        self._send(Opening(0.0, ""))  # alive, before imports that take long on a busy computer
         what = "the source cannot be imported in the capture process; define it in a module"
         try:
             opener = pickle.loads(order)  # noqa: S301  # our own parent wrote it
             what = "the capture failed unexpectedly"
+            self._send(Opening(0.0, ""))
             with opener(self._progress) as source:
                 self._capture(source)
         except _StoppedError:

@@ -8,6 +8,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import CONTROL, LEFT
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.contact.alignment import tactile_pose
 from tactune.core.contact.pipeline import ContactPipeline
@@ -17,8 +18,6 @@ pytestmark = pytest.mark.usefixtures("qapp")
 
 #: Dots that are clicked, spread over the membrane.
 CORNERS = (1, 7, 55, 61, 31, 21)
-LEFT = Qt.MouseButton.LeftButton
-CONTROL = Qt.KeyboardModifier.ControlModifier
 SHIFT = Qt.KeyboardModifier.ShiftModifier
 
 

@@ -8,6 +8,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from hands import LEFT
 from pairs import moved, snapshot_of, with_pairs
 from tactune.app.calibration.correspondence import make_overlay, proximity_partner, tactile_partner
 from tactune.app.calibration.fitting import fit
@@ -16,7 +17,6 @@ from tactune.app.calibration.session import Session, SessionState
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.calibration.geometry import Alignment
 
-LEFT = Qt.MouseButton.LeftButton
 SAVE = 3
 
 
@@ -117,21 +117,6 @@ def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, fra
     assert outcome.standing_out == {"7", "18"}
     assert "Click pairs" in report.verdict
     assert {"7", "18"} == set(report.verdict.split("Click pairs ")[1].split(" again")[0].split(" and "))
-
-
-def test_a_click_snaps_and_the_loupe_says_to_what(open_wizard, hand, scene, frames, feed):
-    wizard = open_wizard()
-    wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
-    wizard.go_to(1)
-    page = wizard.points
-    left, right = page.images["proximity"], page.images["tactile"]
-    dots = scene.proximity_pixels(0.2)
-    hand.click(left, dots[30] + np.array((2.0, 0.0)))
-    assert left.loupe.text().startswith("dot centre, ") and "right image" in page.hint.text()
-    bare = (scene.tactile_pixels(0.2)[30] + scene.tactile_pixels(0.2)[40]) / 2
-    hand.click(right, bare)
-    assert right.loupe.text() == "nothing to snap to"
-    assert wizard.session.state.pairs[0].tactile == pytest.approx(tuple(bare), abs=0.6)
 
 
 # Find points

@@ -1,10 +1,13 @@
-"""``tactune record``, ``tactune convert`` and ``tactune run --out patches.mcap``."""
+"""``tactune record``, ``tactune convert``, ``tactune run --out patches.mcap`` and ``tactune preset create-rig``."""
 
 import signal
 import subprocess
 import sys
 import time
+from xml.etree import ElementTree
 
+import cv2
+import h5py
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -14,8 +17,10 @@ from rosbags.highlevel import AnyReader
 from capture_sources import same_frame
 from ros_messages import points_of
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
+from tactune.core.model.rig_file import load_rig
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import untouched_frame
+from tactune.core.sources.lens import read_lenses
 from tactune.core.sources.tactune_files import McapSource
 
 
@@ -121,3 +126,47 @@ def test_sigterm_ends_a_live_source_with_a_whole_file(tmp_path, recording):
     assert str(out) in printed
     with out.open("rb") as file:
         assert make_reader(file).get_summary().statistics.message_count > 0
+
+
+def test_a_recording_becomes_hdf5_and_its_calibration_urdf(tactune, recording, tmp_path):
+    done = tactune("convert", recording, tmp_path / "a.h5", "-n", "3")
+    assert done.status == 0 and "wrote 3 frames" in done.out
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert len(file["sequence"]) == 3
+    assert tactune("convert", recording, tmp_path / "a.urdf").status == 0
+    assert ElementTree.parse(tmp_path / "a.urdf").getroot().tag == "robot"
+    assert tactune("convert", "simulator", tmp_path / "b.yaml", "--to", "kalibr").status == 0
+    assert len(read_lenses(tmp_path / "b.yaml")) == 3
+
+
+@pytest.fixture
+def bare(recording):
+    """A recording without its rig."""
+    (recording / "rig.json").unlink()
+    return recording
+
+
+def test_the_message_of_a_folder_without_a_rig_names_the_command_and_that_makes_it_a_source(tactune, bare):
+    refused = tactune("run", "--source", bare, "--json")
+    assert refused.status == 2 and "rig.json" in refused.err and "tactune preset create-rig" in refused.err
+    assert tactune("preset", "create-rig", bare, "--proximity", "L515=60,61,31.5,23.5", "--tactile", "D405").status == 0
+    rig = load_rig(bare / "rig.json")
+    lens = rig.proximity.intrinsics
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (60, 61, 31.5, 23.5)
+    assert (rig.proximity.model, rig.tactile.model) == ("L515", "D405")
+    assert (rig.proximity.depth_unit_m, rig.tactile.depth_unit_m) == (0.00025, 0.0001)
+    info = tactune("preset", "create-rig", bare, "--proximity", "L515", "--tactile", "D405")
+    assert info.status == 2 and "already there" in info.err
+
+
+def test_what_is_assumed_is_said(tactune, bare):
+    for path in bare.rglob("proximity_color.png"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), (48, 30)))
+    unknown = tactune("create-rig", bare, "--proximity", "D435=60,61,31.5,23.5")
+    assert unknown.status == 2 and "lens of the tactile camera is unknown" in unknown.err
+    done = tactune("create-rig", bare, "--proximity", "D435=60,61,31.5,23.5", "--tactile", "D405", "--unit", "mm")
+    assert done.status == 0
+    assert "the pose of the colour camera is unknown, so its images are left out" in done.err
+    assert load_rig(bare / "rig.json").proximity_color is None
+    assert "the depth lens of the D405 is the maker's" in done.err
+    assert "depth lens of the D435" not in done.err

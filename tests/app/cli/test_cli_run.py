@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.rig_file import load_rig
-from tactune.core.preset import Preset
-from tactune.core.preset.file import save_preset
 
 COMMAND = [sys.executable, "-m", "tactune.app"]
 
@@ -59,21 +56,6 @@ def test_truth_is_compared_where_it_is_known(tactune, make_recording):
     unlabelled = tactune("run", "-s", make_recording("unlabelled", with_truth=False), "--json", "--truth")
     assert [line["iou"] for line in json_lines(unlabelled.out)] == [None] * 4
     assert len(unlabelled.err.splitlines()) == 1
-
-
-def test_another_serial_is_a_warning_and_another_size_an_error(tactune, make_recording, tmp_path):
-    preset = tmp_path / "mine.json"
-    save_preset(Preset(name="mine", rig=load_rig(make_recording("first") / "rig.json")), preset)
-
-    other_serial = tactune("run", "-s", make_recording("second", serial="2"), "-p", preset, "--json")
-    assert other_serial.status == 0
-    assert "p1" in other_serial.err
-    assert "p2" in other_serial.err
-    assert len(other_serial.out.splitlines()) == 4
-
-    sentence = tactune("run", "-s", make_recording("third", width=80), "-p", preset, "--json").sentence
-    assert "64 x 48" in sentence
-    assert "80 x 48" in sentence
 
 
 def test_run_uses_the_preset_with_what_was_set(tactune, recording):

@@ -1,4 +1,4 @@
-"""``tactune preset suggest``: proposals with their evidence, and the preset that they give."""
+"""``tactune preset suggest | findings``: proposals with their evidence, and findings with their own exit status."""
 
 import pytest
 
@@ -36,3 +36,21 @@ def test_the_present_frame_can_be_chosen(tactune):
     named = ("preset", "suggest", "--source", "sim:cup", "--preset", "default", "--section", "mask")
     areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
     assert int(areas[0].split()[0].replace(",", "")) < int(areas[1].split()[0].replace(",", ""))
+
+
+SOURCE = "sim:cup?press=medium"
+
+
+def test_a_good_preset_has_no_findings(tactune):
+    finished = tactune("preset", "findings", "--source", SOURCE)
+    assert (finished.status, finished.out) == (0, "no findings\n")
+
+
+def test_findings_are_printed_with_what_mends_them(tactune, tmp_path):
+    spoiled = tmp_path / "spoiled.json"
+    words = ("preset", "new", "--from", "simulator", "--set", "alignment.depth_offset_m=0.012", "--out", spoiled)
+    assert tactune(*words).status == 0
+    finished = tactune("preset", "findings", "--source", SOURCE, "--preset", spoiled, "--frame", 0)
+    assert finished.status == 1
+    assert finished.out.startswith("alignment.depth_offset_m: Peak of the differences at −")
+    assert "--set alignment.depth_offset_m=0.0" in finished.out

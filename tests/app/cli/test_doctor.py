@@ -1,4 +1,4 @@
-"""``tactune doctor``: each check on a working system and with each simulated fault."""
+"""``tactune doctor``: each check on a working system and with each simulated fault; ``tactune devices``."""
 
 import json
 import os
@@ -7,7 +7,10 @@ import pytest
 
 from tactune.app.cli import doctor
 from tactune.app.cli.doctor import Check, State, check_cameras, check_drivers, check_packages
+from tactune.app.sources import list_devices
 from tactune.app.sources.list_devices import Child, python_child, run_child
+from tactune.core.sources.cameras import drivers
+from tactune.core.sources.cameras.camera import DeviceInfo
 
 
 def answering(answer):
@@ -116,3 +119,24 @@ def test_the_real_checks_run_here():
     lines = {line.name: line for line in doctor.check_computer()}
     assert lines["Packages"].state is lines["Shared memory"].state is State.OK
     assert all(line.remedy for line in lines.values() if line.state is not State.OK)
+
+
+def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, monkeypatch, capsys):
+    def listed(connected, hint=""):
+        monkeypatch.setattr(drivers, "list_devices", lambda: (connected, hint, []))
+        capsys.readouterr()
+        assert list_devices.main() == 0
+        written = capsys.readouterr().out
+        monkeypatch.setattr(list_devices, "run_child", lambda command, patience_s: Child(written))
+        return tactune("devices")
+
+    l515 = DeviceInfo("L515", "f0190001", role="proximity", firmware="1.5.8.1", usb="3.2")
+    done = listed([l515, DeviceInfo("unknown", "", problem="it does not answer")])
+    assert done.status == 0
+    assert done.out.splitlines() == [
+        "L515, serial f0190001, firmware 1.5.8.1, USB 3.2",
+        "unknown, serial unknown, firmware unknown, USB unknown",
+        "  It does not answer.",
+    ]
+    none = listed([], "the driver no longer supports the L515")
+    assert none.status == 1 and none.out.startswith("The driver no longer supports the L515.\nNo camera is connected")

@@ -58,17 +58,6 @@ def test_one_click_sets_up_the_simulated_rig(qtbot, set_up, tmp_path):
     assert marks(set_up) == "✓" * len(set_up.rows) and verdict.sentence in set_up.headline.text()
 
 
-def test_a_bias_that_prints_tell_still_asks_for_the_press_that_is_judged(qtbot, set_up):
-    window = set_up.window_
-    window.document.edit_many({"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255)})
-    window.open_source("sim:cup")
-    qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
-    click(set_up.start)
-    qtbot.waitUntil(lambda: not set_up.running, timeout=300_000)
-    assert set_up.press
-    assert marks(set_up) == "✓" * len(set_up.rows), set_up.headline.text()
-
-
 def test_without_a_source_it_looks_for_cameras_and_says_that_there_are_none(qtbot, set_up):
     click(set_up.start)
     qtbot.waitUntil(lambda: not set_up.running, timeout=60_000)
@@ -92,21 +81,6 @@ def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up):
     click(set_up.bias.work.start)
     qtbot.waitUntil(lambda: set_up.bias.mark.text() == "!", timeout=60_000)
     assert "captured during a press" in set_up.bias.work.sentence.text()
-
-
-def test_only_a_press_that_is_held_still_is_worked_on(qtbot, set_up):
-    show_source(qtbot, set_up.window_, FakeSource(), 0)
-    step, free = set_up.bias.work, tiny_frame(0, tiny_rig())
-    step.info = set_up.window_.result.source
-    step.prepared(free)
-
-    def share(moves_m):
-        unit_m = tiny_rig().tactile.depth_unit_m
-        depths = (free.tactile_depth - np.uint16((0.01 + number * moves_m) / unit_m) for number in range(8))
-        return step.share([step.keep(replace(free, tactile_depth=depth)) for depth in depths])
-
-    assert share(0.0) == 1.0
-    assert share(0.001) < 0.5
 
 
 def failed(panel):

@@ -1,17 +1,21 @@
-import time
+"""The calibration as a whole: models, verdicts, refusals, the preset that it gives, and ``tactune calibrate``."""
+
+from functools import partial
 
 import numpy as np
 import pytest
 
+from rigs import save_rig
 from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration.calibrate import calibrate
 from tactune.core.calibration.check import compare_alignments, is_worse
 from tactune.core.calibration.geometry import Alignment
-from tactune.core.calibration.report import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
+from tactune.core.calibration.points import write_points
 from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
 from tactune.core.preset import Preset
-from tactune.core.preset.file import preset_and_note, preset_json
+from tactune.core.preset.file import preset_and_note, preset_json, save_preset
+from tactune.core.sources.presets import load_preset
 
 RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
 
@@ -35,16 +39,13 @@ def usual(rig):
     return calibrate(clicked(rig), rig)
 
 
-def test_many_pairs_take_seconds_also_where_they_contradict_each_other(rig):
-    """Of 6,000 pairs 70 % are right."""
+def test_of_6000_pairs_the_right_70_percent_are_used(rig):
     rng = np.random.default_rng(0)
     tactile = np.column_stack([rng.uniform((80, 80), (560, 400), (6000, 2)), rng.uniform(0.2, 0.3, 6000)])
     proximity = Alignment.of_rig(rig).pixels(rig, tactile) + rng.normal(0, 0.5, (6000, 2))
     wrong = np.arange(6000) % 10 >= 7
     proximity[wrong] = rng.permutation(proximity[wrong])
-    begun = time.process_time()
     report = calibrate([pair_of(i, proximity[i], uv, z) for i, (*uv, z) in enumerate(tactile)], rig)
-    assert time.process_time() - begun < 40  # of the processor, however busy the machine is
     assert report.model == "rigid", report.reason
     assert abs(len(report.chosen.excluded) - wrong.sum()) < 60
 
@@ -148,14 +149,6 @@ def test_the_expected_error_is_the_one_that_happens(rig):
     assert 0.8 * np.mean(happened) < np.mean(expected) < 2.0 * np.mean(happened)
 
 
-def test_the_tolerance_follows_its_formula():
-    sensors = 1e6 * (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2)
-    boundary_mm, tolerance = patch_effect([2.0], [1.0], [0.25])
-    assert tolerance == pytest.approx(1.96 * np.sqrt(1 + 0.5 + sensors) / 250)
-    assert boundary_mm == pytest.approx(np.sqrt(5))
-    assert patch_effect([0.0], [0.0], [0.3])[1] == pytest.approx(1.96 * np.sqrt(sensors) / 300)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -235,3 +228,27 @@ def test_pairs_that_the_present_alignment_was_fitted_to_tell_nothing(rig):
     more = [*clicked(rig, 40), *(changed(pair, id=f"new {pair.id}") for pair in clicked(rig, 20, seed=1))]
     assert compare_alignments(calibrate(more, rig, "rigid"), saved).pairs == 20
     assert is_worse(calibrate(clicked(rig, 8, noise=ClickNoise(1.5, 1.5, 0.001)), rig, "rigid"), saved)
+
+
+@pytest.fixture
+def files(tmp_path, rig):
+    clean = make_clicks(rig, 10, 0, ClickNoise(0.0, 0.0, 0.0), color_share=0.4)
+    write_points(tmp_path / "points.csv", clean.pairs())
+    save_rig(rig, tmp_path / "rig.json")
+    return tmp_path
+
+
+@pytest.fixture
+def run(tactune):
+    return partial(tactune, "calibrate")
+
+
+def test_the_preset_gets_the_pose(run, files, rig):
+    save_preset(Preset(name="mine").with_value("tolerance.t", 0.02), files / "mine.json")
+    status, out, err = run("--points", files / "points.csv", "--rig", files / "rig.json", "--out", files / "mine.json")
+    assert (status, err) == (0, "")
+    assert f"wrote {files / 'mine.json'}" in out and "Verdict: " in out
+    preset = load_preset(files / "mine.json")
+    assert np.allclose(preset.alignment.rigid.T_proximity_tactile, rig.T_proximity_tactile, atol=1e-6)
+    assert (preset.name, preset.tolerance.t) == ("mine", 0.02)
+    assert len(preset.alignment.calibration.points) == 10

@@ -2,20 +2,12 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulated_clicks import (
-    ClickNoise,
-    alignment_covariance,
-    cramer_rao,
-    expected_length,
-    judged_places,
-    make_clicks,
-)
+from simulated_clicks import ClickNoise, alignment_covariance, cramer_rao, expected_length, judged_places, make_clicks
 from tactune.core.calibration.fits import fit_homography, fit_rigid
 from tactune.core.calibration.geometry import mapped
 from tactune.core.errors import CalibrationError
@@ -33,18 +25,6 @@ def test_clean_points_give_the_homography(plane, rig, count):
     for H in (plane.mild, plane.strong):
         fit = fit_homography(plane.clicks(count, count, H, sigma=0.0), rig)
         assert plane.error(fit, H).max() < 1e-6
-
-
-def test_noise_costs_no_more_than_with_opencvs_refinement(plane, rig):
-    for H in (plane.mild, plane.strong):
-        errors = []
-        for seed in range(20):
-            points = plane.clicks(seed, 20, H)
-            refined, _ = cv2.findHomography(points.tactile, points.proximity, 0)
-            theirs = np.hypot(*(mapped(refined, plane.grid) - mapped(H, plane.grid)).T).mean()
-            errors.append((plane.error(fit_homography(points, rig), H).mean(), theirs))
-        ours, theirs = np.mean(errors, axis=0)
-        assert ours < 1.005 * theirs
 
 
 def line(count, scatter):

@@ -87,15 +87,3 @@ def test_what_moves_slowly_together_stays_together(make_frame, rig):
         shown = average.add(replace(still, **moved))
         lags_m = [np.median(moved[name].astype(float) - getattr(shown, name)) * unit_m for name, unit_m in cameras]
         assert abs(lags_m[0] - lags_m[1]) < 0.0003
-
-
-def test_measured_noise_keeps_the_frames_so_far(make_frame, rig):
-    camera = {"white_m": 0.001, "correlated_m": 0.0, "length_px": 0.0, "changing_share": 1.0, "distance_m": 0.3}
-    noise = {"proximity": camera, "tactile": camera, "measured": "2026-01-02T03:04:05Z", "frames": 30}
-    frames = frames_of(make_frame, rig, 4, share_missing=0.0)
-    contact = ContactPipeline(AVERAGED, rig)
-    for frame in frames[:3]:
-        contact.process(frame)
-    contact.update(AVERAGED.with_value("noise", noise))
-    assert contact.process(frames[2]).averaged_frames == 3
-    assert contact.process(frames[3]).averaged_frames == 4

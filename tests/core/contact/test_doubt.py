@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.errors import FrameError
 from tactune.core.lab import faults
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.model.patch import SURE
@@ -100,19 +99,6 @@ def test_prints_that_no_light_explains_are_said_to_be_gone(rig):
     assert "lost_prints" in {finding.name for finding in found}
 
 
-def test_a_third_of_the_depth_missing_at_random_leaves_the_patch(rig):
-    preset, untouched, touch, _ = rig
-    frame, rng = touch.read(0), np.random.default_rng(0)
-    images = (frame.proximity_depth, frame.tactile_depth)
-    holes = [np.where(rng.random(image.shape) < 0.3, 0, image).astype(np.uint16) for image in images]
-    pipeline = ContactPipeline(preset, touch.rig, untouched)
-    whole, spoilt = (
-        pipeline.process(each).mask
-        for each in (frame, replace(frame, proximity_depth=holes[0], tactile_depth=holes[1]))
-    )
-    assert pixel_scores(spoilt, whole).iou > 0.8
-
-
 def test_every_point_and_record_carries_the_doubt_about_its_contact(rig):
     preset, untouched, touch, _ = rig
     frame = touch.read(0)
@@ -175,17 +161,3 @@ def test_the_table_of_faults_counts_what_is_wrong_without_a_word(monkeypatch):
     wrong = replace(touch, error_mm=9.0, probability=1.0, stated_mm=0.5)
     silent, line = (faults.faults_text([*found[0], extra]).splitlines()[1].split() for extra in (wrong, touch))
     assert int(silent[-1]) == int(line[-1]) + 1
-
-
-def test_the_distance_of_two_boundaries_is_that_of_shifted_squares():
-    mask = np.zeros((60, 80), bool)
-    mask[20:40, 20:40] = True
-    assert faults.boundary_distance_px(mask, mask) == 0
-    assert 0 < faults.boundary_distance_px(mask, np.roll(mask, 3, axis=1)) <= 3
-
-
-def test_an_untouched_frame_of_another_rig_is_refused(rig):
-    preset, untouched, touch, _ = rig
-    small = replace(untouched, tactile_depth=untouched.tactile_depth[::2, ::2])
-    with pytest.raises(FrameError, match="tactile_depth is 320 x 240"):
-        ContactPipeline(preset, touch.rig, small)

@@ -7,12 +7,7 @@ from hypothesis import strategies as st
 from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.clusters import in_large_cluster
 from tactune.core.contact.outliers.grid import Grid
-from tactune.core.contact.outliers.statistical import (
-    below_threshold,
-    exact_means,
-    near_means,
-    statistical_inliers,
-)
+from tactune.core.contact.outliers.statistical import below_threshold, exact_means, near_means, statistical_inliers
 from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics

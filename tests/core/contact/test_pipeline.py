@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from reference_patches import reference_patch, same_patch
 from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.lab.bench import synthetic_scene
 from tactune.core.model.frames import SensorFrame
@@ -56,48 +55,6 @@ def test_every_input_gives_the_references_bits(make_rig, make_frame, values, see
     assert same_patch(patch, reference_patch(preset, rig, frame))
     assert patch.points.dtype == np.float32
     assert patch.mask.sum() == len(patch.points)
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "repeated"),
-    [
-        ("outliers.min_cluster_area_mm2", 5.0, {"clusters"}),
-        ("outliers.k", 9, {"outliers", "clusters"}),
-        ("outliers.ratio", 1.0, {"outliers", "clusters"}),
-        ("mask.hue", (10, 20), set(ToleranceTest.steps)),
-        ("tolerance.t", 0.02, set(ToleranceTest.steps)),
-        ("range.enabled", True, set(ToleranceTest.steps)),
-        ("region.enabled", True, set(ToleranceTest.steps)),
-        ("alignment.depth_offset_m", 0.001, set(ToleranceTest.steps)),
-        ("name", "other", set()),  # nothing changed
-    ],
-)
-def test_a_change_repeats_only_what_comes_after_it(make_rig, make_frame, path, value, repeated):
-    rig = make_rig()
-    frame = make_frame(rig)
-    preset = PRESET.with_values({"mask.enabled": True, "mask.saturation": [0, 30], "tolerance.t": 0.05})
-    contact = ContactPipeline(preset, rig)
-    first = contact.process(frame)
-    assert set(first.stage_ms) == set(ToleranceTest.steps)
-    assert all(first.stage_ms.values())
-    contact.update(preset.with_value(path, value))
-    again = contact.process(frame)
-    assert {name for name, ms in again.stage_ms.items() if ms > 0} == repeated
-    assert repeated or (again.points is first.points and again.provenance is first.provenance)
-
-
-def test_an_empty_scene_skips_everything_after_the_fusion(make_rig, make_frame):
-    rig = make_rig()
-    frame = make_frame(rig)
-    preset = PRESET.with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
-    patch = ContactPipeline(preset, rig).process(frame)
-    assert len(patch.points) == 0
-    assert patch.area_mm2 == 0
-    assert patch.centroid_m is None
-    assert not patch.mask.any()
-    assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
-    assert "no candidates" in patch.skipped
-    assert same_patch(patch, reference_patch(preset, rig, frame))
 
 
 def test_rigid_alignment_finds_a_surface_that_both_cameras_see(make_rig):

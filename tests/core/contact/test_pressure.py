@@ -21,7 +21,7 @@ from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.simulator.objects import OBJECTS
 from tactune.core.sources.simulator.scene import simulator_rig
-from tactune.core.sources.simulator.scenes import MEMBRANES, Variant
+from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
 PRESSURE = Preset(contact_test="pressure")
@@ -101,18 +101,6 @@ def test_what_the_camera_sees_beside_the_membrane_adds_no_force():
     assert beside.area_mm2 == pytest.approx(alone.area_mm2, rel=0.01)
 
 
-def test_nothing_is_known_at_the_rim():
-    depth_m, share = np.full((40, 40), 0.3), np.ones((40, 40))
-    depth_m[:, :10] = share[:, :10] = 0.0
-    known = np.isfinite(surface.fit(depth_m, share, 3.0).fit[0])
-    assert known[20, 20]
-    assert not known[20, 8:11].any()
-    depth_m[19:22, 19:22] = np.nan
-    closed, holes, beside = surface.filled(np.where(known, depth_m, np.nan))
-    assert beside[20, 20] and holes[20, 20] and closed[20, 20] == pytest.approx(0.3)
-    assert not beside[0].any() and not beside[:, -1].any()
-
-
 def test_force_and_contact_of_a_press_follow_the_solver(pressed):
     rig, preset, frame, untouched = pressed
     patch = ContactPipeline(preset.with_value("pressure.gauge_pa", frame.truth.inflation_pa), rig, untouched).process(
@@ -157,17 +145,6 @@ def test_unchanged_steps_are_skipped_and_a_larger_value_finds_less(pressed):
 def test_noise_that_was_not_measured_is_a_doubt(pressed):
     rig, _, frame, untouched = pressed
     assert "noise not measured" in ContactPipeline(PRESSURE, rig, untouched).process(frame).doubt.reasons
-
-
-def test_noise_that_was_measured_nearer_counts_for_more_and_widens_the_window(pressed):
-    rig, preset, frame, untouched = pressed
-
-    def window_m(share):
-        camera = preset.noise.tactile.model_copy(update={"distance_m": share * preset.noise.tactile.distance_m})
-        nearer = preset.model_copy(update={"noise": preset.noise.model_copy(update={"tactile": camera})})
-        return ContactPipeline(nearer, rig, untouched).process(frame).pressure.window_m
-
-    assert window_m(0.8) > 1.1 * window_m(1.0)
 
 
 def test_a_tactile_camera_that_lies_on_its_side_tells_the_same_force():
@@ -229,17 +206,6 @@ def test_what_hovers_is_no_contact(at_rest):
         found = [at_rest.process(source.read(number)) for number in range(10)]
     assert not any(claimed(patch) for patch in found)
     assert sum(len(patch.points) > 0 for patch in found) <= 2
-
-
-@pytest.mark.parametrize(("apex_m", "share"), [(0.0638, 1.1), (0.0562, 0.9)])
-def test_a_membrane_inflated_more_or_less_since_is_no_contact(at_rest, monkeypatch, apex_m, share):
-    with coarse(press="none") as before:
-        rest_pa = before.read(0).truth.inflation_pa
-    monkeypatch.setitem(MEMBRANES, "other", replace(MEMBRANES["standard"], apex_m=apex_m))
-    with coarse(press="none", membrane="other") as source:
-        frames = [source.read(number) for number in range(6)]
-    assert frames[0].truth.inflation_pa / rest_pa == pytest.approx(share, abs=0.01)
-    assert not any(claimed(at_rest.process(frame)) for frame in frames)
 
 
 @pytest.mark.parametrize("offset_m", [(0.170, 0.0), (0.0, 0.105), (0.0, 0.150)])

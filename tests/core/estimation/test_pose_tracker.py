@@ -1,16 +1,16 @@
-"""The pose of a known object, from patches of shapes whose free directions are known, and in simulated scenes."""
+"""The pose of a known object, from patches of shapes whose free directions are known; meshes from files."""
+
+import sys
 
 import numpy as np
 import pytest
 import trimesh
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from tactune.core import ContactPipeline, load_preset
-from tactune.core.errors import CalibrationError
-from tactune.core.estimation.object_mesh import ObjectMesh, simulated_mesh
+from tactune.core.errors import CalibrationError, MissingExtraError, SourceError
+from tactune.core.estimation.object_mesh import ObjectMesh, load_mesh, simulated_mesh
 from tactune.core.estimation.pose import PoseTracker, pose_error
-from tactune.core.estimation.pose_fit import patch_points
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now
@@ -83,25 +83,6 @@ def test_directions_that_a_shape_leaves_free_are_found_and_held(shape):
     assert sigmas[-1] > 0.02, "what is free is not certain"
 
 
-def test_fit_agrees_with_least_squares_on_the_distance_to_the_mesh():
-    mesh, true = mesh_of("bolt"), pose_of((20, 15, 40))
-    patch = pressed(mesh, true, deep_m=0.03, half_m=0.05, noise_m=0.0004)
-    tracker = PoseTracker(mesh, with_white_noise(0.0004), RIG)
-    tracker.start(true @ pose_of((2, -1, 2), (0.001, 0.001, 0.001)))
-    found = tracker.track(patch, 0.0).T_proximity_object
-    tiles = patch_points(patch.points, RIG, 1.0)
-
-    def distances(motion):
-        turn = Rotation.from_rotvec(motion[3:]).as_matrix()
-        own = (tiles.points - motion[:3] - true[:3, 3]) @ (turn @ true[:3, :3])
-        return np.sqrt(tiles.weights) * mesh.scene.compute_distance(own.astype(np.float32)).numpy()
-
-    best = least_squares(distances, np.zeros(6), x_scale=[0.01] * 3 + [0.1] * 3, diff_step=1e-3).x
-    assert np.abs(found[:3, 3] - true[:3, 3] - best[:3]).max() < 4e-4
-    turn = Rotation.from_matrix(found[:3, :3] @ true[:3, :3].T).as_rotvec()
-    assert np.degrees(np.abs(turn - best[3:]).max()) < 1.0
-
-
 def test_covariance_covers_the_errors_of_noise():
     mesh, true = mesh_of("egg"), pose_of((20, 15, 40))
     preset, sizes = with_white_noise(WHITE_M), []
@@ -160,3 +141,48 @@ def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
         tracker.start(np.diag([2.0, 1, 1, 1]))
     assert not tracker.started
     assert PoseTracker(mesh_of("sphere"), PRESET, RIG).track(patch, 0.0).lost
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (1000.0, "mm")])
+def test_unit_is_told_by_the_size(tmp_path, suffix, scale, unit):
+    cup = trimesh.creation.cylinder(0.04 * scale, 0.095 * scale)
+    cup.export(tmp_path / f"cup{suffix}")
+    mesh = load_mesh(tmp_path / f"cup{suffix}")
+    assert mesh.unit == unit
+    assert mesh.size_m == pytest.approx([0.08, 0.08, 0.095], rel=0.01)
+    assert len(mesh.vertices_m) == len(cup.vertices), "corners that triangles of an STL repeat are merged"
+    assert f"read in {unit}: 80 x 80 x 95 mm" in mesh.assumed
+    assert load_mesh(tmp_path / f"cup{suffix}", unit).size_m == pytest.approx(mesh.size_m)
+
+
+def test_mesh_inside_out_is_turned(tmp_path):
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.invert()
+    box.export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    places, normals = mesh.closest(np.array([[0.0, 0.0, 0.1]]))
+    assert normals[0] == pytest.approx([0, 0, 1], abs=1e-6)
+    assert places[0] == pytest.approx([0, 0, 0.05], abs=1e-6)
+
+
+def test_unusable_files_are_refused_in_one_sentence(tmp_path):
+    trimesh.creation.box((3, 3, 3)).export(tmp_path / "nothing.stl")
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
+    (tmp_path / "text.obj").write_text("this is no mesh\n")
+    (tmp_path / "torn.stl").write_bytes(b"solid \x00\x01" * 5)
+    (tmp_path / "mesh.step").write_text("ISO-10303-21;")
+    for name in ("nothing.stl", "points.ply", "text.obj", "torn.stl", "mesh.step", "absent.ply"):
+        with pytest.raises(SourceError, match=name) as refused:
+            load_mesh(tmp_path / name)
+        assert "\n" not in str(refused.value)
+    with pytest.raises(SourceError, match="no unit 'yd'"):
+        load_mesh(tmp_path / "nothing.stl", "yd")
+
+
+def test_without_open3d_the_extra_is_named(tmp_path, monkeypatch):
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingExtraError, match=r"tactune\[open3d\]"):
+        PoseTracker(mesh, load_preset("simulator"), simulator_rig())

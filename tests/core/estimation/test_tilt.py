@@ -1,4 +1,8 @@
-"""Roll, pitch and long axis of a patch: exact planes, independent computations, what is not determined, sigmas."""
+"""Roll, pitch and long axis of a patch: exact planes, what is not determined, sigmas; a tray levelled by them."""
+
+import math
+import runpy
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -113,3 +117,16 @@ def test_standard_deviation_of_correlated_noise(rig):
     stated, found = (np.sqrt(np.mean(np.square(values))) for values in (sigmas, errors))
     assert 0.8 < stated / found < 1.25
     assert 0.6 < np.mean(np.abs(errors) < sigmas) < 0.82
+
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "balance_tray.py"
+
+
+def test_the_tray_is_level_soon_after_a_book(monkeypatch):
+    example = runpy.run_path(str(EXAMPLE))
+    monkeypatch.setitem(example["balance"].__globals__, "BOOKS", (example["Book"](0.3, 0.35, 0.040),))
+    steps = example["balance"](2.0)
+    assert max(abs(math.degrees(step.roll_rad)) for step in steps) > 2.0  # the book does roll the tray
+    assert abs(math.degrees(steps[-1].sensor_rad)) > 2.0  # the sensor has turned below it
+    (settled,) = example["settle_times"](steps)
+    assert settled is not None and 0.0 < settled < 1.5

@@ -9,15 +9,7 @@ import pytest
 from painted_scan import PINK, PURPLE, write_painted_scan
 from tactune.core.calibration.geometry import moved
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.lab.scan import (
-    PAINT,
-    Scan,
-    load_scan,
-    load_transform,
-    painted_contact,
-    scan_truth,
-    surface_points,
-)
+from tactune.core.lab.scan import PAINT, Scan, load_scan, load_transform, painted_contact, scan_truth, surface_points
 from tactune.core.model.clouds import pixel_areas_m2, truth_points
 from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m
 from tactune.core.sources.presets import load_preset

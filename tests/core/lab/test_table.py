@@ -6,16 +6,7 @@ import pytest
 
 from tactune.core.errors import TactuneError
 from tactune.core.lab import table
-from tactune.core.lab.table import (
-    BEST_T,
-    Cell,
-    mean_rmse_mm,
-    measure_table,
-    plan_table,
-    table_methods,
-    table_text,
-    time_table,
-)
+from tactune.core.lab.table import BEST_T, Cell, mean_rmse_mm, measure_table, plan_table, table_methods, table_text
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import MEMBRANES
@@ -68,12 +59,6 @@ def test_stored_cells_are_not_measured_again_unless_another_method_is_asked_for(
         next(measure_table(damaged, 1))
 
 
-def test_times_are_those_of_each_method_and_press(plan):
-    times = time_table(plan)
-    assert {method for _, method, _ in times} == set(METHODS) - {BEST_T}
-    assert all(0 < ms < 10_000 for ms in times.values())
-
-
 def test_a_plan_holds_what_methods_are_developed_on_or_what_is_held_out(tmp_path):
     plan = plan_table(Preset(), tmp_path)
     known = {name for name in MEMBRANES if name != "held-membrane"}
@@ -82,21 +67,6 @@ def test_a_plan_holds_what_methods_are_developed_on_or_what_is_held_out(tmp_path
     held = plan_table(Preset(), tmp_path, sensors=(), held_out=True, seeds=3)
     assert {scene.sensor for scene in held.scenes} == {name for name, entry in SENSORS.items() if entry.held_out}
     assert {scene.object for scene in held.scenes}.isdisjoint(table.OBJECTS) and held.seeds == (100, 101, 102)
-
-
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [
-        ({"methods": ("magic",)}, "no method 'magic'"),
-        ({"objects": ("mug",)}, "--held-out"),
-        ({"presses": ("hard",)}, "no press 'hard'"),
-        ({"sensors": ("blind",)}, "no sensor 'blind'"),
-        ({"membranes": ("wet",)}, "no membrane 'wet'"),
-    ],
-)
-def test_unknown_names_are_refused(names, words, tmp_path):
-    with pytest.raises(TactuneError, match=words):
-        plan_table(Preset(), tmp_path, **names)
 
 
 def cell(rmse_mm, **more):

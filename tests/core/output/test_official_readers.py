@@ -1,13 +1,21 @@
-"""Recordings in other readers: the official MCAP reader with its ROS 2 decoder, and rosbags."""
+"""Recordings in the official MCAP reader, ones to share, and bags with Tactune's topics that other programs wrote."""
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from tactune.core import load_preset
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import SourceError
 from tactune.core.preset.file import preset_json
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.tactune_files import McapSource
+from tactune.core.tuning.advice.findings import Examiner
+from tactune.core.tuning.share import share_mcap
 
 TYPES = {
     "/tactune/frame": "std_msgs/msg/String",
@@ -113,3 +121,139 @@ def test_static_transforms_are_the_factory_poses(path, rig):
     np.testing.assert_allclose(poses["tactile_depth_optical_frame"], rig.T_proximity_tactile, atol=1e-12)
     T_depth_color = np.linalg.inv(rig.proximity_color.T_color_depth)
     np.testing.assert_allclose(poses["proximity_color_optical_frame"], T_depth_color, atol=1e-12)
+
+
+LATE_NS = {"/tactune/frame": 0, "/proximity/depth/image": 3_000_000, "/tactile/depth/image": 9_000_000}
+
+
+@pytest.fixture
+def timed(rig, make_frame):
+    """Frames at 30 Hz."""
+    return [
+        make_frame(rig, seed, proximity_time_s=2.0 + seed / 30, tactile_time_s=2.001 + seed / 30) for seed in range(5)
+    ]
+
+
+@pytest.fixture
+def ours(tmp_path, rig, timed, record):
+    record(tmp_path / "ours.mcap", rig, timed)
+    return tmp_path / "ours.mcap"
+
+
+def rewrite(ours, target, without=(), late=False, **options):
+    """Copy the messages with the official library, as a converter or a recorder in ROS does: no attachments."""
+    with ours.open("rb") as source, target.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start("ros2")
+        schemas = {}
+        channels = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.topic.startswith(without):
+                continue
+            if schema.name not in schemas:
+                schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.topic not in channels:
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
+            delay = LATE_NS.get(channel.topic, 5_000_000) if late else 0
+            writer.add_message(
+                channels[channel.topic], message.log_time + delay, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()
+    return target
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": CompressionType.LZ4, "chunk_size": 200},
+        {"compression": CompressionType.NONE},
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE},
+        {"index_types": IndexType.CHUNK},
+        {"use_statistics": False, "repeat_channels": False},
+        {"late": True, "chunk_size": 300},
+    ],
+)
+def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, rig, timed, same_frame, options):
+    with McapSource(rewrite(ours, tmp_path / "copy.mcap", **options)) as source:
+        assert source.health().ok
+        assert source.rig == rig
+        assert source.length == len(timed)
+        assert all(map(same_frame, source, timed))
+        assert source.frame_rate_hz == pytest.approx(30.0, rel=1e-6)
+
+
+def test_a_bag_without_a_rig_is_refused(tmp_path, ours):
+    with pytest.raises(SourceError, match=r"has no rig\.json and no /tactune/rig"):
+        McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune",)))
+
+
+def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours, rig, timed):
+    for without, sentence in (
+        ("/tactile/depth/image", r"holds no frame: there is no image on /tactile/depth/image \(its topics are /prox"),
+        ("/", r"holds no frame: .* \(it has no messages\)"),
+    ):
+        with pytest.raises(SourceError, match=sentence):
+            McapSource(rewrite(ours, tmp_path / "part.mcap", without=(without,)))
+
+
+def test_a_topic_of_another_type_is_refused(tmp_path, ours):
+    copy = rewrite(ours, tmp_path / "copy.mcap", compression=CompressionType.NONE)
+    copy.write_bytes(copy.read_bytes().replace(b"sensor_msgs/msg/Image", b"sensor_msgs/msg/Imago"))
+    with pytest.raises(
+        SourceError, match=r"has messages of the type sensor_msgs/msg/Imago in cdr, but sensor_msgs/msg/"
+    ):
+        McapSource(copy)
+
+
+FIRST, COUNT = 28, 4
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """Return the file, the frames in it, the preset with prints that no mask removes, and the untouched frame."""
+    path = tmp_path_factory.mktemp("share") / "a.mcap"
+    preset = load_preset("simulator").with_value("mask.enabled", False)
+    with open_source("sim:cup") as source, source.with_object_away() as away:
+        frames, untouched = [source.read(FIRST + index) for index in range(COUNT)], away.read(0)
+        source.seek(FIRST)
+        assert share_mcap(source, path, COUNT, preset, untouched) == COUNT
+    return path, frames, preset, untouched
+
+
+def test_other_readers_see_patch_and_findings(shared):
+    path, frames, preset, untouched = shared
+    with open_source("sim:cup") as source:
+        pipeline, examiner = ContactPipeline(preset, source.rig, untouched), Examiner(source.rig)
+    patches = [pipeline.process(frame) for frame in frames]
+    found = examiner.findings(frames[0], patches[0], preset, untouched)
+    assert found and all(len(patch.points) for patch in patches)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        read = [(channel.topic, message) for _, channel, _, message in reader.iter_decoded_messages()]
+    clouds = [message for topic, message in read if topic == "/contact/patch"]
+    for patch, cloud in zip(patches, clouds, strict=True):
+        assert np.array_equal(np.frombuffer(cloud.data, "<f4").reshape(-1, 3), patch.points)
+    said = [message.data for topic, message in read if topic == "/contact/findings"]
+    assert said == ["\n".join(finding.sentence for finding in found)] * COUNT
+    with AnyReader([path]) as bag:
+        (connection,) = (each for each in bag.connections if each.topic == "/contact/patch")
+        assert sum(1 for _ in bag.messages([connection])) == COUNT
+
+
+def test_tactune_opens_it_with_preset_and_untouched_frame(shared):
+    path, frames, preset, untouched = shared
+    with McapSource(path) as recording:
+        assert recording.preset() == preset
+        assert np.array_equal(recording.untouched().tactile_depth, untouched.tactile_depth)
+        for frame, read in zip(frames, recording, strict=True):
+            assert np.array_equal(read.proximity_depth, frame.proximity_depth)
+
+
+def test_the_command_shares_with_the_usual_preset(tactune, tmp_path):
+    path = tmp_path / "b.mcap"
+    assert tactune("convert", "sim:cup", path, "--share", "--frames", 2).status == 0
+    with McapSource(path) as recording:
+        assert recording.preset().name == load_preset("simulator").name
+    assert "--share" in tactune("convert", "sim:cup", tmp_path / "folder", "--share").sentence

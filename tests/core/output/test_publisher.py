@@ -194,25 +194,6 @@ def test_a_topic_is_announced_once_a_frame_has_it(processed):
     assert sink.announced == LIVE_TOPICS
 
 
-def test_nothing_is_built_for_nobody(processed):
-    frame, patch, preset = processed
-
-    class Unread(ContactPatch):
-        def __getattribute__(self, name):
-            assert name != "points", "read"
-            return super().__getattribute__(name)
-
-    unread = Unread(7, np.empty((0, 3), np.float32), patch.provenance, patch.aligned, patch.rig, {})
-    sink = Collecting([])
-    with Publisher([sink]) as publisher:
-        for _ in range(3):
-            publisher.put(frame, unread, preset)
-        sink.topics = ["/tactune/frame"]
-        publisher.put(frame, unread, preset)
-        sink.wait_for(lambda messages: len(messages) == 1)
-        assert publisher.status()[0].error == ""
-
-
 def test_a_sink_that_cannot_start_closes_the_others():
     first, second = Collecting([]), Collecting([])
 

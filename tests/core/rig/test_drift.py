@@ -6,13 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from drifted import Drift
-from drifting import AVERAGED, drifted, untouched
+from drifting import AVERAGED, Drift, drifted, untouched
 from tactune.core.calibration.check import Drift as AlignmentDrift
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.errors import CalibrationError, FrameError
 from tactune.core.preset import Preset
-from tactune.core.rig.drift import INTERVAL_S, LOOKS, RigCheck, Watch, compare_with_untouched
+from tactune.core.rig.drift import INTERVAL_S, RigCheck, Watch, compare_with_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -87,16 +86,6 @@ def test_ordinary_use_raises_no_alarm(watch):
     frames = [source.read(int(index)) for index in order]
     frames[3:6] = [replace(frame, tactile_color=frame.tactile_color // 2) for frame in frames[3:6]]
     assert reports(watch, frames) == []
-
-
-def test_a_look_is_due_every_ten_seconds_after_the_first_ones_and_after_the_clock_was_set_back(watch):
-    for look in range(LOOKS):
-        assert watch.due(100.0 + look)
-        watch.look(drifted().read(20), 100.0 + look)
-    newest = 99.0 + LOOKS
-    assert not watch.due(newest + 9.9)
-    assert watch.due(newest + 10.0)
-    assert watch.due(50.0)
 
 
 def test_what_cannot_be_compared_is_refused(watch):

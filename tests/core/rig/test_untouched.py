@@ -14,14 +14,7 @@ from tactune.core.model.frames import SensorFrame
 from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
-from tactune.core.rig.untouched import (
-    average_untouched,
-    find_untouched,
-    kept_untouched,
-    load_untouched,
-    place_at_rest,
-    save_untouched,
-)
+from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, place_at_rest, save_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.tactune_files import McapSource
@@ -130,13 +123,6 @@ def test_an_untouched_frame_of_another_rig_is_not_used(kept):
     found = find_untouched(preset, path, still(rig=RIG.model_copy(update={"proximity": wide})))
     assert found.frame is None
     assert "200 x 96" in found.warnings[0]
-
-
-def test_a_source_whose_untouched_frame_is_unusable_is_used_without_it():
-    small = replace(untouched_image(7), tactile_depth=untouched_image(7).tactile_depth[::2, ::2])
-    found = kept_untouched(Preset(), None, still(small))
-    assert found.frame is None
-    assert "64 x 48" in found.warnings[0]
 
 
 def test_without_one_the_source_is_asked():

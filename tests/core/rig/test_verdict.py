@@ -1,13 +1,20 @@
-"""The verdict on a rig: which measurement limits the boundary of a patch."""
+"""The verdict on a rig, and its inflation from presses of known force."""
 
+import math
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from tactune.core import ContactPipeline, Preset, open_source
 from tactune.core.errors import CalibrationError
 from tactune.core.preset import CameraNoise, RigNoise, now
+from tactune.core.rig.inflation import Press, fit_inflation, read_forces
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.rig.verdict import judge_rig
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.registry import open_source
 
 CAMERA = CameraNoise(white_m=2e-4, correlated_m=1e-3, length_px=4, changing_share=0.5, distance_m=0.28)
 
@@ -43,3 +50,91 @@ def test_without_contact_there_is_nothing_to_judge(press):
     rig, _, untouched = press
     with pytest.raises(CalibrationError, match="no contact"):
         judge_rig(load_preset("simulator"), rig, untouched, untouched)
+
+
+AREAS = st.lists(st.floats(2_000, 30_000), min_size=1, max_size=20)
+
+
+@given(st.floats(100, 20_000), AREAS)
+def test_forces_that_follow_give_back_their_pressure(pascals, areas):
+    found = fit_inflation([Press(n, 1e-6 * pascals * area, area, 0.05 * area) for n, area in enumerate(areas)])
+    assert found.pascals == pytest.approx(pascals, rel=1e-6)
+    assert 0.05 * pascals <= found.sigma_pa < 0.08 * pascals
+    assert found.residual_n < 1e-6 * pascals
+
+
+def test_a_precise_press_counts_more_and_a_spread_is_told():
+    presses = [Press(0, 20.0, 10_000, 100), Press(1, 30.0, 10_000, 2_000)]
+    assert fit_inflation(presses).pascals == pytest.approx(2_000, rel=0.01)
+    even = [Press(n, force, 10_000, 100) for n, force in enumerate((15.0, 25.0))]
+    assert fit_inflation(even).sigma_pa > 490  # both pressures differ from their mean by 500 Pa
+
+
+def test_forces_of_other_frames_are_refused():
+    with pytest.raises(CalibrationError, match="do not follow"):
+        fit_inflation([Press(n, force, area, 100) for n, (force, area) in enumerate(((1, 20e3), (40, 2e3), (2, 25e3)))])
+    with pytest.raises(CalibrationError, match="no press"):
+        fit_inflation([])
+
+
+def test_a_press_of_the_simulator_tells_its_pressure():
+    with open_source("sim:cup?press=medium") as source:
+        frame, untouched, rig = source.next_frame(), untouched_frame(source), source.rig
+    truth = frame.truth
+    patch = ContactPipeline(Preset(contact_test="pressure"), rig, untouched).process(frame)
+    press = Press.of(patch, 7, float(np.linalg.norm(truth.force_n)))
+    found = fit_inflation([press])
+    assert press.weak == ("noise not measured",) and press.weak[0] in found.sentence
+    assert found.sigma_pa > 1.3 * fit_inflation([press._replace(weak=())]).sigma_pa
+    assert abs(found.pascals - truth.inflation_pa) < 2 * found.sigma_pa
+    assert Preset().with_values(found.changes).pressure.gauge_pa == pytest.approx(found.pascals, abs=0.01)
+    at_rest = ContactPipeline(Preset(contact_test="pressure"), rig, untouched).process(untouched)
+    with pytest.raises(CalibrationError, match="frame 3; press"):
+        Press.of(at_rest, 3, 10.0)
+    for force_n in (-2.0, 1e-200, 1e200):
+        with pytest.raises(CalibrationError, match="give what the scale reads"):
+            Press.of(patch, 3, force_n)
+    with pytest.raises(CalibrationError, match="contact test"):
+        Press.of(ContactPipeline(Preset(contact_test="tolerance"), rig).process(frame), 3, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "frame", "time_s", "force_n"),
+    [
+        ("frame,force_n\n3,1.5\n7,2.5\n", 7, 0.0, 2.5),
+        ("Frame;Force_N\n7;2,5\n", 7, 0.0, 2.5),
+        ("time_s,force_n\n1,10\n0,0\n", 0, 0.25, 2.5),
+        ("time_s,force_n\n0,0\n1,10\n", 0, 1.25, None),
+        ("frame,force_n\n3,1.5\n", 4, 0.0, None),
+    ],
+)
+def test_a_log_tells_the_force_of_a_frame(tmp_path, text, frame, time_s, force_n):
+    path = tmp_path / "forces.csv"
+    path.write_text(text)
+    found = read_forces(path).of(SimpleNamespace(sequence=frame, proximity_time_s=5.0 + time_s), 5.0)
+    assert found == (None if force_n is None else pytest.approx(force_n))
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "columns"),
+        ("frame,force_n\n", "no row"),
+        ("frame,time_s,force_n\n1,1,1\n", "columns"),
+        ("frame,force\n1,1\n", "columns"),
+        ("frame,force_n\n1,much\n", "line 2"),
+        ("frame,force_n\n1,nan\n", "line 2"),
+        ("frame,force_n\n1\n", "line 2"),
+        ("frame,force_n\n1,2\n1,3\n", "twice"),
+        ("\x00\xff", "columns"),
+    ],
+)
+def test_a_log_that_is_none_is_refused(tmp_path, text, named):
+    path = tmp_path / "forces.csv"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(CalibrationError, match=named):
+        read_forces(path)
+
+
+def test_one_press_is_as_uncertain_as_its_noise():
+    assert fit_inflation([Press(0, 20.0, 10_000, 2_000)]).sigma_pa == pytest.approx(math.hypot(400, 100))

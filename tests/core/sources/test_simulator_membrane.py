@@ -1,16 +1,20 @@
-"""The membrane's contact problem, checked by independent conditions."""
+"""The membrane's contact problem and its force, checked by independent conditions and analytic cases."""
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
+from tactune.core import open_source
 from tactune.core.sources.simulator.membrane import (
     ATMOSPHERE_PA,
     TOUCH_GAP_M,
     Membrane,
     MembraneDesign,
+    contact_load,
+    contact_share,
     object_pose,
 )
-from tactune.core.sources.simulator.objects import OBJECTS, distance, normal, turn
+from tactune.core.sources.simulator.objects import BALL, BALL_RADIUS_M, OBJECTS, distance, normal, turn
 
 COARSE = MembraneDesign(cells=(36, 20))
 
@@ -151,3 +155,54 @@ def test_slightly_inflated_sheet_is_the_taut_sheet_of_the_textbook():
     expected = taut_sheet_height(x, y, design.width_m, design.height_m, gauge / tension)
     assert expected.max() == pytest.approx(design.apex_m, rel=0.01)
     assert np.abs(membrane.rest.nodes[:, 2] - expected).max() < 0.01 * design.apex_m
+
+
+#: Conformal radius of a square at its centre, as a share of its side: where a point load sees a circular rim.
+CONFORMAL = 1.0787 / 2
+
+
+def lower(membrane, kind, heights_m):
+    nodes = None
+    for height_m in heights_m:
+        pose = object_pose(np.eye(3), (0.0, 0.0, height_m))
+        state = membrane.press(kind, pose, nodes)
+        nodes = state.nodes
+    return pose, state
+
+
+def test_a_ball_in_a_flat_taut_sheet_has_the_force_and_contact_of_a_surface_of_constant_tension():
+    side = 0.10
+    design = MembraneDesign(
+        width_m=side, height_m=side, apex_m=0.0001, prestretch=1.6, stiffening=0.0, dead_volume_m3=10.0, cells=(90, 90)
+    )
+    membrane = Membrane(design)  # in so much air that its pressure stays next to nothing
+    depth = 0.0045  # past the flat sheet
+    pose, state = lower(membrane, BALL, BALL_RADIUS_M - np.linspace(0.0005, depth, 4))
+    force = -contact_load(membrane, state).sum(axis=0)[2]
+    share = contact_share(membrane, state, BALL, pose)
+    flat_area = side * side / len(share)
+    radius = np.sqrt(flat_area * share.sum() / np.pi)
+
+    # r sin(slope) = c outside of contact, and a slope a / R at its edge: a surface of revolution without pressure
+    def sunk(a):
+        c = a * a / BALL_RADIUS_M
+        return BALL_RADIUS_M - np.sqrt(BALL_RADIUS_M**2 - a * a) + c * (
+            np.arccosh(CONFORMAL * side / c) - np.arccosh(a / c)
+        )  # fmt: skip
+
+    a = brentq(lambda a: sunk(a) - depth, 1e-3, 0.03)
+    taut = design.stiffness_n_m * (1 - design.prestretch**-6)  # of neo-Hookean rubber, per present length
+    assert radius == pytest.approx(a, abs=1e-3)
+    assert force == pytest.approx(2 * np.pi * taut * a * a / BALL_RADIUS_M, rel=0.05)
+
+
+def test_a_frames_truth_holds_force_and_pressure_in_its_own_camera():
+    with open_source("sim:cup?press=medium") as source, open_source("sim:cup?press=medium&cameras=tactile") as single:
+        both, one = source.next_frame().truth, single.next_frame().truth
+        pose = np.array(source.rig.T_proximity_tactile)
+    assert pose[:3, :3] @ one.force_n == pytest.approx(both.force_n)
+    assert both.force_n[2] < -10.0
+    assert both.inflation_pa == one.inflation_pa > 1000.0
+    for truth in (both, one):
+        assert truth.pressure_pa[truth.contact].mean() > 0.5 * truth.inflation_pa
+        assert (truth.pressure_pa[truth.contact] > 0).mean() > 0.95

@@ -1,14 +1,18 @@
-"""The simulator as a source: geometry, noise, determinism, cache, and the results of the shipped preset."""
+"""The simulator as a source: scenes, geometry, noise, determinism, cache, systematic errors of its sensors."""
 
 import gc
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from tactune.core.errors import ExportError
+from tactune.core.errors import ExportError, SourceError
 from tactune.core.sources.simulator import source
-from tactune.core.sources.simulator.scene import APEX_M
-from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.noise import NoiseModel
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M
+from tactune.core.sources.simulator.scene import APEX_M, RIM_M, CleanState, simulator_rig
+from tactune.core.sources.simulator.scenes import MEMBRANES, STANDARD, Variant, read_name, write_name
+from tactune.core.sources.simulator.sensors import SENSORS
 from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, cache_file, load_scene
 
 REST, DEEP = 0, 45
@@ -99,3 +103,130 @@ def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):
     simulator = SimulatorSource()
     monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path))
     assert len(clean_states(simulator)) == len(simulator.scene.drawn)
+
+
+COARSE = (60, 36)
+
+
+def open_coarse(scene, noise=0.0, **variant):
+    return SimulatorSource(scene, noise=noise, cells=COARSE, variant=Variant(**variant), sensor="datasheet")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("teapot", "scene is 'teapot'; choose one of cube, cup"),
+        ("cube?press=hard", "press is 'hard'; choose one of none, low, medium, high"),
+        ("cube?press=low&gap=3", "press, gap and move exclude each other"),
+        ("cube?press=low&side=left", "side is for press=high"),
+        ("tray?move=slide", "the tray rolls"),
+        ("cup?move=slide&membrane=sticky", "on the membrane sticky nothing slides"),
+        ("cube?membrane=drum", "membrane is 'drum'; choose one of standard, soft, taut, tall, uneven"),
+        ("cube?sensor=eye", "sensor is 'eye'"),
+        ("cube?seed=-1", "seed is '-1'"),
+        ("cube?light=dim", "no option 'light'"),
+        ("cube?seed", "are no options"),
+    ],
+)
+def test_impossible_names_are_refused(name, words):
+    with pytest.raises(SourceError, match=words):
+        read_name(name)
+
+
+def test_a_name_is_written_without_what_is_the_default():
+    name = "octopus?press=high&side=left&membrane=soft&sensor=worn&seed=3&noise=0.5"
+    assert write_name(**read_name(name)) == f"sim:{name}"
+    assert write_name(**read_name("?press=&seed=0&noise=1")) == "sim:cup"
+
+
+def test_hovering_object_keeps_its_gap():
+    gap_mm = 20.0
+    with open_coarse("cube", gap_mm=gap_mm) as source:
+        frame = source.read(0)
+        assert source.facts(0).depth_m == pytest.approx(-gap_mm / 1e3)
+        assert not frame.truth.contact.any()
+        behind = frame.proximity_depth * 0.00025 - frame.truth.depth_m
+        assert np.nanquantile(behind[frame.truth.depth_m > 0], 0.0005) == pytest.approx(gap_mm / 1e3, abs=1.5e-3)
+
+
+@pytest.mark.parametrize(
+    ("membrane", "shape", "press"),
+    [
+        ("sticky", "cup", "medium"),
+        *(pytest.param(name, "cube", press, marks=pytest.mark.long) for name in MEMBRANES for press in ("low", "high")),
+    ],
+)
+def test_every_membrane_is_solved_and_has_its_rim_at_the_same_place(membrane, shape, press):
+    design = MEMBRANES[membrane]
+    with open_coarse(shape, press="none", membrane=membrane) as source:
+        frame, rest = source.read(0), source.facts(0)
+        assert np.nanmax(frame.truth.depth_m) == pytest.approx(RIM_M + design.apex_m, abs=2e-4)
+        assert rest.residual < 1e-3
+        assert ("membrane=" in source.name) is (membrane != STANDARD)
+    with open_coarse(shape, press=press, membrane=membrane) as source:
+        facts = source.facts(0)
+        assert facts.residual < 1e-3
+        assert 0.02 < facts.strain.length < 3.0
+        assert source.read(0).truth.contact.sum() > 300
+        with source.with_object_away() as away:
+            assert away.scene.design == source.scene.design
+
+
+RIG = simulator_rig()
+#: A wall at 0.3 m that faces both cameras.
+WALL = np.full((480, 640), round(0.3 / CLEAN_UNIT_M), dtype=np.uint16)
+FACING, PLAIN = np.full(WALL.shape, 255, dtype=np.uint8), np.zeros(WALL.shape, dtype=np.uint8)
+
+
+def proximity_error(model):
+    """Error of the proximity camera on the wall in metres, NaN where there is no depth."""
+    counts = model.proximity_depth(0, CleanState(WALL, WALL, FACING, PLAIN, PLAIN, WALL, PLAIN, WALL))
+    return np.where(counts > 0, counts * RIG.proximity.depth_unit_m - WALL * CLEAN_UNIT_M, np.nan)
+
+
+@pytest.mark.parametrize("name", ["datasheet", "l515-d405", "worn", "far-offset"])
+def test_systematic_errors_are_as_the_model_says(name):
+    sensor = SENSORS[name]
+    shared = replace(sensor, tof_correlated_m=0.0, tof_slow_bias_m=0.0, tof_drift_m=0.0, stereo_hole_share=0.01)
+    error = proximity_error(NoiseModel(RIG, 0, 1.0, shared))
+    assert np.nanmean(error) == pytest.approx(sensor.tof_offset_m + 0.3 * (sensor.tof_scale - 1.0), abs=2e-5)
+    turn = np.radians(sensor.tof_slope_deg)
+    across = np.nanmean(error[:, 540:]) - np.nanmean(error[:, :100])
+    assert across == pytest.approx(sensor.tof_slope_m * np.cos(turn) * 540 / 640, abs=5e-5)
+    down = np.nanmean(error[380:]) - np.nanmean(error[:100])
+    assert down == pytest.approx(sensor.tof_slope_m * np.sin(turn) * 380 / 640, abs=5e-5)
+    assert np.isnan(error).mean() == pytest.approx(sensor.tof_dropout_share, rel=0.1)
+
+
+def test_no_noise_is_the_clean_sensor_and_noise_is_a_factor_on_all_errors():
+    clean = NoiseModel(RIG, 0, 1.0, SENSORS["clean"])
+    for sensor in (SENSORS["l515-d405"], SENSORS["worn"]):
+        none = NoiseModel(RIG, 0, 0.0, sensor)
+        assert np.array_equal(proximity_error(none), proximity_error(clean))
+        assert np.array_equal(none.tactile_depth(2, WALL), clean.tactile_depth(2, WALL))
+    far = SENSORS["far-offset"]
+    for level in (0.5, 2.0):
+        error = proximity_error(NoiseModel(RIG, 0, level, far))
+        assert np.nanmean(error) == pytest.approx(0.020 * level, abs=2e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("file", ["cup-118", "cup-none"])
+def test_the_shipped_scene_is_the_solver_s(file):
+    (path,) = SHIPPED.glob(f"{file}*.npz")
+    simulator = SimulatorSource() if file == "cup-118" else SimulatorSource().with_object_away()
+    solved = simulator.solve_anew(simulator.scene, lambda share, words: None)
+    shipped = load_scene(path, len(solved.states))
+    # Other processors round the last digits otherwise.
+    for ours, theirs in zip(shipped.facts, solved.facts, strict=True):
+        assert flat(asdict(ours)) == pytest.approx(flat(asdict(theirs)), rel=1e-6, abs=1e-9, nan_ok=True)
+    for ours, theirs in zip(shipped.states, solved.states, strict=True):
+        for name, image in vars(theirs).items():
+            assert np.count_nonzero(getattr(ours, name) != image) <= 1e-5 * image.size, name
+
+
+def flat(facts):
+    numbers = []
+    for value in facts.values():
+        numbers += flat(value) if isinstance(value, dict) else np.ravel(np.asarray(value, float)).tolist()
+    return numbers

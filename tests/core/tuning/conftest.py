@@ -4,7 +4,7 @@ import cv2
 import pytest
 
 from long_search import LongSearch
-from small_recordings import NoisyPress, small_rig
+from small_recordings import noisy_press, small_rig
 from tactune.core.contact.kernels.threads import get_threads, set_threads
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
@@ -25,7 +25,7 @@ def make_recording(tmp_path):
     """Write a recording and return its source's name."""
 
     def make(name="rec", *, seed=0, frames=3, width=64, with_truth=True):
-        export_folder(NoisyPress(seed, small_rig(width), frames, with_truth), tmp_path / name)
+        export_folder(noisy_press(seed, small_rig(width), frames, with_truth), tmp_path / name)
         return f"folder:{tmp_path / name}"
 
     return make

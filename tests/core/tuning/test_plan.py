@@ -1,13 +1,16 @@
-"""The plan of a search: texts, ranges, grids, default ranges, and errors before the first trial."""
+"""The plan of a search, and how a trial is measured."""
+
+import time
 
 import pytest
 
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import TactuneError
-from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
-from tactune.core.tuning.plan import check_axes, default_axes, grid_of, parse_axis
+from tactune.core.tuning.measure import measure
+from tactune.core.tuning.plan import check_axes, default_axes, grid_of, make_plan, parse_axis
 
-BASE = Preset().with_value("contact_test", "tolerance")
+BASE = load_preset("default").with_value("contact_test", "tolerance")
 
 
 def values(text):
@@ -64,3 +67,55 @@ def test_without_a_choice_the_numbers_of_the_contact_test_vary_around_their_pres
     axes = {axis.path: axis for axis in default_axes(tolerance)}
     assert set(axes) == {"tolerance.t"}
     assert axes["tolerance.t"].log and axes["tolerance.t"].holds(0.5)
+
+
+def plan_of(*sources):
+    return make_plan(BASE, [], sources, objectives=["stability", "ms"])
+
+
+def figures_of(plan, *trials):
+    """Measure trials whose parameters can be used."""
+    measured = measure(plan, trials)
+    assert not any(failure for _, failure in measured)
+    return [figures for figures, _ in measured]
+
+
+def test_trials_do_not_affect_each_other_whatever_their_order(recording):
+    trials = [
+        {"contact_test": test, "tolerance.t": t, "outliers.k": k, "membrane.frames": frames}
+        for frames, test in ((1, "tolerance"), (1, "membrane"), (2, "membrane"))
+        for k in (20, 5)
+        for t in (0.01, 0.005)
+    ]
+    alone = [figures_of(plan_of(recording), trial)[0] for trial in trials]
+    together = figures_of(plan_of(recording), *trials)
+    for figures in (*alone, *together):
+        assert figures.pop("ms") > 0
+    assert alone == together
+    assert len({figures["points"] for figures in alone}) > 4
+
+
+def test_time_in_which_others_have_the_processor_does_not_count(recording, monkeypatch):
+    original = ContactPipeline.process
+
+    def process(self, frame):
+        patch = original(self, frame)
+        time.sleep(0.2)  # as if another process had the processor
+        return patch
+
+    monkeypatch.setattr(ContactPipeline, "process", process)
+    (found,) = figures_of(plan_of(recording), {})
+    assert 0 < found["ms"] < 0.5 * 200
+
+
+def test_finding_nothing_never_pays(recording):
+    hidden = {"range.enabled": True, "range.limits_m": [1, 2]}
+    bad = {"tolerance.t": 0.2}
+    nothing, much = figures_of(plan_of(recording), hidden, bad)
+    assert (nothing["points"], nothing["iou"]) == (0, 0)
+    assert nothing["rmse"] > much["rmse"] > 0
+
+
+def test_values_that_cannot_be_used_are_a_failure_of_their_trial_alone(recording):
+    (_, wrong), (_, right) = measure(plan_of(recording), [{"range.limits_m": [2, 1]}, {}])
+    assert "near limit" in wrong and right == ""

@@ -111,12 +111,3 @@ def test_a_dask_cluster_gives_the_front_of_this_computer(tune, recording):
         done = tune(*words, "--study", "there.log", "--scheduler", cluster.scheduler_address)
     assert done.status == 0, done.err
     assert front_of(done.out) == here
-
-
-@pytest.mark.long
-def test_a_scheduler_without_workers_is_said_in_a_sentence(tune, recording):
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=None) as cluster:
-        finished = tune("-s", recording, "--scheduler", cluster.scheduler_address)
-    assert "no Dask scheduler with a worker answers" in finished.sentence

@@ -7,13 +7,9 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from rigs import one_place_rig
-from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import equilibrium as kernels
-from tactune.core.contact.membrane.bias import rig_bias
-from tactune.core.contact.membrane.equilibrium import Cells, cells_of, measured_curvature_per_m, over_window, settle
-from tactune.core.contact.membrane.steps import differences_at, membrane_image
+from tactune.core.contact.membrane.equilibrium import Cells, measured_curvature_per_m, over_window
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.pixels import Pixels, Workspace
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
@@ -21,49 +17,6 @@ SIDE_M, COUNT = 0.001, 61
 MEMBRANE = Preset().with_values({"contact_test": "membrane", "membrane.bias": False})
 #: Depth of the untouched membrane's plane and of what is behind, metres.
 PLANE_M, BEHIND_M, UNIT_M = 0.3, 0.6, 1e-5
-
-
-def cells_of_gap(gap_m, push_per_m):
-    """Return cells of 1 mm that face the camera, with an unknown frame and nothing beside the object."""
-    gap_m = np.asarray(gap_m, np.float32)
-    known = np.zeros(gap_m.shape, bool)
-    known[1:-1, 1:-1] = True
-    share = known.astype(np.float32)
-    return Cells(
-        difference_m=gap_m,
-        share=share,
-        unseen=np.zeros_like(share),
-        weight=share,
-        near_share=over_window(share, 3),
-        known=known,
-        linked=known,
-        push_per_m=np.full_like(gap_m, 1.0) * np.asarray(push_per_m, np.float32),
-        sides_m=np.full((2, *gap_m.shape), SIDE_M, np.float32),
-        facing=np.ones_like(gap_m),
-        size_px=3,
-    )
-
-
-def test_the_membrane_beside_an_object_decides_at_its_border():
-    """A flat object with an edge: the membrane passes in front of it (gap > 0), or behind it, bent around the edge."""
-    gap = np.full((COUNT, COUNT), 0.0006, np.float32)
-    known = np.zeros(gap.shape, bool)
-    known[10:-10, 10:30] = True
-    linked = known.copy()
-    linked[10:-10, 30:33] = True
-    cells = cells_of_gap(gap, 20.0)
-    share = known.astype(np.float32)
-    cells = replace(
-        cells, known=known, linked=linked, share=share, weight=linked.astype(np.float32),
-        near_share=over_window(share, 3),
-    )  # fmt: skip
-    touching = {}
-    for name, beside_m in (("in front", 0.004), ("behind", -0.004)):
-        measured = np.where(linked & ~known, np.float32(beside_m), gap)
-        touching[name] = settle(replace(cells, difference_m=measured), 0.0, 0.016).touching
-    assert touching["behind"][10:-10, 26:30].all()
-    assert not touching["in front"][10:-10, 26:30].any()
-    assert not any((found & ~known).any() for found in touching.values())
 
 
 def random_cells(seed, size=16):
@@ -120,35 +73,6 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
     kernels.settle(gaps.reshape(-1), size, found, loads, np.float32(1.5), np.float32(1e-8), 5000)
     assert 0 < (expected > 1e-6).sum() < len(expected)
     np.testing.assert_allclose(gaps.reshape(-1)[places], expected, atol=2e-6)
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.4])
-@pytest.mark.parametrize("model", ["rigid", "homography"])
-def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(rig, slope, model):
-    """A tilted plate in the left half of the image; to the right of it the membrane is 4 mm nearer, or hidden."""
-    tangent = rig.proximity.intrinsics.rays()[..., 0].astype(float)
-    plate = PLANE_M / (1 - slope * tangent)
-    frame_depth = np.where(tangent < 0, plate, BEHIND_M)
-    membrane = np.where(tangent < 0, plate, plate - 0.004)
-    membrane[:60] = 0
-    values = {"alignment.model": model} | (
-        {"alignment.homography.H_p_t": np.eye(3).tolist()} if model != "rigid" else {}
-    )
-    preset = MEMBRANE.with_values(values)
-    frame = SensorFrame(0, counts(frame_depth), counts(membrane), np.zeros((*tangent.shape, 3), np.uint8))
-    pixels = Pixels(preset, rig, make_alignment(preset.alignment, rig), Workspace(rig))
-    differences = differences_at(frame, pixels, preset.membrane, rig_bias(None, rig))
-    cells = cells_of(differences, membrane_image(frame, pixels), 3, 5.0, 10.0, (0.0, 0.008), rig)
-    beside = cells.linked & ~cells.known
-    seen = beside & (cells.weight > 0)
-    rows = np.flatnonzero((cells.known & (cells.share > 0)).any(axis=1))
-    middle = np.zeros_like(beside)
-    middle[rows[6] : rows[-6]] = True
-    right = middle & seen & (np.arange(beside.shape[1]) > np.flatnonzero(cells.known.any(axis=0))[-1])
-    assert right.sum() > 50
-    np.testing.assert_allclose(cells.difference_m[right], 0.004, atol=0.0003)
-    assert (cells.weight[beside] <= 1).all()
-    assert (cells.push_per_m[beside] == 10).all()
 
 
 # Images of a bubble with an exact shape

@@ -1,14 +1,19 @@
-"""A source in a separate process gives the same frames, errors and replies as in this process."""
+"""A source in a process of its own gives the same frames and errors as in this one, and recovers by itself."""
 
 import gc
+import os
+import re
+import signal
 import threading
 from functools import partial
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from capture_sources import (
+    capture_pid,
     make_frame,
     make_rig,
     open_for_ever,
@@ -17,9 +22,15 @@ from capture_sources import (
     open_troubled,
     same_frame,
 )
+from tactune.app.settings import Settings
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import MissingExtraError, SourceError
+from tactune.core.preset import Preset
 from tactune.core.sources.capture.child import create_memory, read_frame, write_frame
 from tactune.core.sources.capture.source import ProcessSource
+from tactune.core.sources.registry import open_source
+from tactune.widgets.basics.messages import Message
 
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
 rigs = st.builds(make_rig, sizes, sizes, st.none() | sizes)
@@ -121,3 +132,127 @@ def test_a_forgotten_source_ends_its_process(nothing_left, tmp_path):
     assert source.next_frame() is not None
     del source
     gc.collect()
+
+
+#: All that a troubled source sends.
+MADE = [make_frame(make_rig(), number) for number in range(50)]
+
+
+def take(source, count):
+    frames = [source.next_frame() for _ in range(count)]
+    assert None not in frames
+    return [frame for frame in frames if frame is not None]
+
+
+def is_whole(frame):
+    """Whether all images of a frame are those of one and the same number."""
+    return any(
+        np.array_equal(frame.proximity_depth, made.proximity_depth)
+        and np.array_equal(frame.tactile_depth, made.tactile_depth)
+        and np.array_equal(frame.proximity_color, made.proximity_color)
+        for made in MADE
+    )
+
+
+def kill(sent):
+    os.kill(capture_pid(), sent)
+
+
+def order(words):
+    def give(source, folder):
+        (folder / "new.txt").write_text(words)
+        (folder / "new.txt").rename(folder / "orders.txt")
+
+    return give
+
+
+@pytest.mark.parametrize(
+    ("harm", "what"),
+    [
+        (lambda source, folder: kill(signal.SIGKILL), "The capture process ended with status -9"),
+        (lambda source, folder: kill(signal.SIGSTOP), "The capture process has given no sign of life for 6 s"),
+        (order("raise"), r"Capturing failed: troubled: frame \d+ is damaged; clean the lens"),
+        (order("size"), "Capturing failed: frame .* tactile_depth is 10 x 7 pixels.*"),
+    ],
+    ids=["killed", "stopped", "raise", "size"],
+)
+def test_it_is_told_and_mended(nothing_left, tmp_path, until, harm, what):
+    with ProcessSource(partial(open_troubled, tmp_path)) as source:
+        before = take(source, 30)
+        source.set_option("tactile", "gain", 64.0)
+        assert source.health().message == ""
+        pid = capture_pid()
+        harm(source, tmp_path)
+        until(lambda: source.health().stale)
+        told = source.health()
+        assert re.fullmatch(what + r"\. It is started again\.", told.message)
+        assert not told.ok
+        assert [camera.state for camera in told.cameras] in (["stalled"], ["streaming"])
+        until(lambda: not source.health().stale)
+        after = take(source, 30)
+        assert capture_pid() != pid
+        assert all(map(is_whole, before + after))
+        numbers = [frame.sequence for frame in before + after]
+        times_s = [frame.proximity_time_s for frame in before + after]
+        assert numbers == sorted(set(numbers))
+        assert times_s == sorted(set(times_s))
+        health = source.health()
+        assert health.ok
+        assert re.fullmatch(what + r"\. It is started again\.", health.message)
+        assert source.options()[0].value == 64.0
+
+
+def test_a_source_that_cannot_be_opened_again_is_tried_until_it_can(nothing_left, tmp_path, until):
+    with ProcessSource(partial(open_troubled, tmp_path)) as source:
+        take(source, 3)
+        (tmp_path / "refuse.txt").write_text("the tactile camera is not connected; plug it in")
+        kill(signal.SIGKILL)
+        until(lambda: "is not connected" in source.health().message)
+        assert source.health().message == (
+            "Capturing failed: the tactile camera is not connected; plug it in. It is started again."
+        )
+        assert not source.wait(0.5) or source.next_frame() is not None
+        (tmp_path / "refuse.txt").unlink()
+        until(lambda: not source.health().stale)
+        assert source.next_frame() is not None
+
+
+def test_another_rig_after_a_restart_ends_the_source(nothing_left, tmp_path):
+    with ProcessSource(partial(open_troubled, tmp_path)) as source:
+        take(source, 3)
+        (tmp_path / "rig.txt").write_text("24")
+        kill(signal.SIGKILL)
+        sentence = "troubled: after a restart it has other cameras than before; open it again"
+        with pytest.raises(SourceError, match=sentence):
+            take(source, 1000)
+        assert source.health().message == sentence
+        assert source.health().stale
+
+
+def test_the_window_stays_responsive_says_it_and_goes_on(qtbot, tmp_path):
+    preset = Preset.model_validate({"name": "tiny", "outliers": {"enabled": False}})
+    window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, native_dialogs=False)
+    qtbot.addWidget(window, before_close_func=lambda window: window.close_without_asking())
+    worker, states, ends, what = window.worker, [], [], "ended with status -9"
+    worker.stateChanged.connect(states.append)
+    worker.recordingEnded.connect(ends.append)
+    window.show()
+    opener = partial(open_troubled, tmp_path)
+    window.open_request(SourceRequest("watched", lambda progress: ProcessSource(opener, progress)))
+    qtbot.waitUntil(lambda: window.result is not None)
+    worker.start_recording(tmp_path / "session.mcap")
+    qtbot.waitUntil(lambda: (status := worker.recorder.status()) is not None and status.frames > 10)
+
+    os.kill(capture_pid(), signal.SIGKILL)
+    qtbot.waitUntil(lambda: any(state.stale and what in state.health.message for state in states))
+    qtbot.waitUntil(lambda: any(what in message.sentence for message in window.findChildren(Message)))
+    qtbot.waitUntil(lambda: not states[-1].stale)
+    shown = window.result.processed
+    qtbot.waitUntil(lambda: window.result.processed > shown + 10)
+    worker.stop_recording()
+    qtbot.waitUntil(lambda: bool(ends))
+    assert (ends[0].reason, ends[0].status.error, ends[0].status.dropped) == ("", "", 0)
+    with open_source(str(tmp_path / "session.mcap")) as recording:
+        frames = list(recording)
+    assert len(frames) == ends[0].status.frames > 10
+    assert np.all(np.diff([frame.proximity_time_s for frame in frames]) > 0)

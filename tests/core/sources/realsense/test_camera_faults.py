@@ -58,15 +58,6 @@ def test_a_camera_that_stays_silent_is_started_again(session, monkeypatch):
     assert_right_pairs(session)
 
 
-def test_images_that_come_late_all_at_once_are_paired_all_the_same(session):
-    unmatched = session.source.health().unmatched
-    session.order(Command("stutter", "tactile", 0.4))  # less than half of what the other camera's images wait
-    assert_right_pairs(session, 30)
-    found = [proximity for proximity, _ in numbers(session.frames)]
-    assert found == list(range(found[0], found[0] + len(found))), "no frame is lost"
-    assert session.source.health().unmatched == unmatched
-
-
 @pytest.mark.parametrize(
     ("role", "streams", "words"),
     [

@@ -87,13 +87,6 @@ def test_an_l515_starts_at_short_range_and_options_can_be_changed(session):
     session.read(3)
 
 
-def test_both_cameras_stamp_on_the_computers_clock():
-    rig = SoftwareRig()
-    assert rig.cameras["proximity"].global_time == [False, False]
-    with open_rig(rig):
-        assert all(all(camera.global_time) for camera in rig.cameras.values())
-
-
 def test_options_of_the_preset_are_set_before_the_first_image_and_refusals_are_told():
     cameras = CamerasSection(
         proximity=CameraSection(options={"laser_power": 30.0, "visual_preset": 4.0, "min_distance": 9_999.0}),

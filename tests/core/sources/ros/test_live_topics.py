@@ -56,14 +56,14 @@ def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain):
     with cameras(domain) as publisher, open_source(f"ros2:?domain={domain}") as source:
         assert source.frame_rate_hz == 30.0
         check_frames(source)
-        assert source.health().message == ""
+        until(source, lambda: source.health().message == "")
         publisher.kill()
         until(source, lambda: "Nobody publishes /l515/depth/image_rect_raw" in source.health().message)
         assert [camera.state for camera in source.health().cameras] == ["missing", "missing"]
         with cameras(domain):
             until(source, lambda: source.health().ok and source.wait(1))
             check_frames(source)
-            assert source.health().message == ""
+            until(source, lambda: source.health().message == "")
 
 
 def test_one_camera_is_a_tactile_one(domain):
@@ -108,24 +108,6 @@ def test_cameras_that_fast_dds_publishes(from_fast_dds):
     with open_source(f"ros2:?domain={from_fast_dds}&host=127.0.0.1") as source:
         check_frames(source)
         assert source.frame_rate_hz == 15.0
-
-
-def test_names_that_tell_no_role_are_listed_and_can_be_given(domain):
-    chosen = ",".join(
-        f"{slot}=/{name}" for slot, name in (
-            ("proximity.depth", "a/depth/image_rect_raw"), ("proximity.color", "a/color/image_raw"),
-            ("tactile.depth", "b/depth/image_rect_raw"),
-        )
-    )  # fmt: skip
-    unclear = r"do not say which camera.*--topics.*/a/depth/image_rect_raw \(848 x 480, 16UC1"
-    with cameras(domain, names=("a", "b")):
-        with pytest.raises(SourceError, match=unclear):
-            open_topics(f"?domain={domain}", CamerasSection(), untold)
-        with open_topics(f"?domain={domain}?{chosen}", CamerasSection(), untold) as source:
-            frame = source.next_frame()
-            assert frame.tactile_color is None
-            assert source.rig.T_proximity_tactile is None
-            assert "No chain of fixed transforms joins the frames 'a_optical'" in source.health().message
 
 
 @pytest.mark.parametrize(

@@ -398,14 +398,6 @@ def test_depth_and_colour_of_an_unknown_encoding_are_named_and_the_rest_is_shown
     assert rig.has_proximity and "'RGB8'" in health.message
 
 
-def test_a_file_that_the_metadata_name_twice_is_played_once(tmp_path):
-    path = make_recording(tmp_path / "take", TWO)
-    names = [file_in(path).name] * 2
-    (path / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {{relative_file_paths: {names}}}")
-    with open_source(str(path)) as source:
-        assert source.length == 3 and source.health().ok
-
-
 def test_a_database_that_computes_its_messages_is_refused(tmp_path):
     path = file_in(make_recording(tmp_path / "take", TWO, kind="sqlite"))
     with closing(sqlite3.connect(path)) as database:

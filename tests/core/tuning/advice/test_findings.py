@@ -88,20 +88,6 @@ class TestPeak:
         total_m = changed.noise.bias_m + changed.alignment.depth_offset_m
         assert total_m == pytest.approx(0.020)  # the measured bias holds after the offset
 
-    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
-    def test_finds_that_of_a_real_pair(self, shared_data, test):
-        rig, frame = scene(f"folder:{shared_data / 'real_pair'}")
-        preset = load_preset("default").with_values(
-            {"contact_test": test, "tolerance.t": 0.02, "outliers.enabled": False}
-        )
-        found = findings(preset, rig, frame)["peak"]
-        assert found.proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.0169, abs=0.0015)
-        assert found.field == "alignment.depth_offset_m"
-        after = found.proposal.apply(preset).with_values({"contact_test": "tolerance"})
-        patch = ContactPipeline(after, rig).process(frame)
-        assert patch.mask.sum() / np.isfinite(patch.relative_difference).sum() > 0.8
-        assert mended(found, preset, rig, frame)
-
 
 @pytest.mark.parametrize("camera", ["proximity", "tactile"])
 @pytest.mark.parametrize("preset", [SHIPPED, TOLERANCE])

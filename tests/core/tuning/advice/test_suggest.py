@@ -1,13 +1,16 @@
-"""Suggest all: it mends what was spoiled, says what it can't know, and computes sections one after the other."""
+"""Suggestions: they mend what was spoiled, say what they can't know, and see the earlier ones applied."""
 
 import math
+import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError, FrameError
+from tactune.core.model.alignment import CalibrationRecord, ModelSummary
 from tactune.core.model.metrics import compare_with_truth
 from tactune.core.preset import CameraNoise, Preset, RigNoise, now
 from tactune.core.sources.presets import load_preset
@@ -127,3 +130,115 @@ def test_the_tolerance_follows_from_the_noise_of_the_rig(evidence, suggest):
     assert proposal.apply(TOLERANCE).tolerance.t == pytest.approx(2 * math.hypot(1.5, 1.5) / 285, rel=0.05)
     with pytest.raises(AdviceError, match="noise"):
         suggest("tolerance", evidence(TOLERANCE))
+
+
+NO_MASK = TOLERANCE.with_value("mask.enabled", False)
+
+
+@pytest.mark.parametrize("spoiled_m", [0.012, -0.009])
+def test_prints_tell_the_offset(evidence, spoiled_m, suggest):
+    proposal = suggest(
+        "alignment", evidence(TOLERANCE.with_value("alignment.depth_offset_m", spoiled_m), "sim:cup?gap=5")
+    )
+    assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
+    assert "prints" in proposal.evidence and "±" in proposal.evidence
+
+
+def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, suggest):
+    with pytest.raises(AdviceError, match="can't be told from a gap"):
+        suggest("alignment", evidence(NO_MASK, "sim:cup?gap=5", untouched=False))
+
+
+def test_the_membrane_test_needs_no_offset(evidence, suggest):
+    far = "sim:cup?press=medium&sensor=far-offset"
+    kept = suggest("alignment", evidence(SHIPPED, far))
+    assert not kept.changes
+    assert "by itself" in kept.expected
+    reset = suggest("alignment", evidence(SHIPPED.with_value("alignment.depth_offset_m", 0.006), far))
+    assert reset.changes == {"alignment.depth_offset_m": 0.0}
+    measured = suggest("alignment", evidence(TOLERANCE, far))
+    assert measured.changes["alignment.depth_offset_m"] == pytest.approx(0.020, abs=0.003)
+
+
+def test_a_calibrated_offset_is_corrected_not_reset(evidence, suggest):
+    quality = ModelSummary(alignment_px=1, alignment_bound_95_px=1, boundary_error_mm=1, supported_tolerance=0.01)
+    record = CalibrationRecord(date=now(), model="rigid", quality=quality)
+    alignment = SHIPPED.alignment.model_copy(update={"depth_offset_m": 0.006, "calibration": record})
+    preset = SHIPPED.model_copy(update={"alignment": alignment})
+    proposal = suggest("alignment", evidence(preset, "sim:cup?press=medium&sensor=far-offset"))
+    assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.020, abs=0.003)
+
+
+@pytest.mark.parametrize(("measured_m", "changes"), [(0.0003, False), (0.0150, True)])
+def test_the_bias_of_the_rig_counts_more_than_a_few_frames_unless_these_contradict_it(
+    evidence, suggest, measured_m, changes
+):
+    camera = CameraNoise(white_m=2e-4, correlated_m=1e-3, length_px=4, changing_share=0.5, distance_m=0.28)
+    known = RigNoise(
+        proximity=camera,
+        tactile=camera,
+        bias_m=measured_m,
+        bias_sigma_m=0.0003,
+        bias_from="contact",
+        measured=now(),
+        frames=60,
+    )
+    shown = evidence(TOLERANCE.model_copy(update={"noise": known}))
+    alone = suggest("alignment", evidence(TOLERANCE))
+    proposal = suggest("alignment", shown)
+    assert ("+0.3 mm" in proposal.evidence) != changes
+    assert not changes or proposal.evidence == alone.evidence
+
+
+UNMASKED = SHIPPED.with_values({"mask.enabled": False})
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.012, -0.02])
+def test_prints_are_covered_whatever_the_bias(evidence, offset_m, suggest):
+    proposal = suggest("mask", evidence(UNMASKED.with_value("alignment.depth_offset_m", offset_m)))
+    learned, shipped = proposal.apply(UNMASKED).mask, SHIPPED.mask
+    assert np.abs(np.subtract(learned.hue, shipped.hue)).max() <= 5
+    covered, lost = (float(share) for share in re.findall(r"([0-9.]+) %", proposal.evidence))
+    assert covered >= 95 and lost < 1
+
+
+def test_a_hue_around_red_wraps(evidence, suggest):
+    shown = evidence(UNMASKED)
+
+    def redder(frame):
+        hsv = cv2.cvtColor(frame.proximity_color, cv2.COLOR_RGB2HSV)
+        hsv[..., 0] = (hsv[..., 0].astype(int) + 20) % 180
+        return replace(frame, proximity_color=cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))
+
+    red = replace(shown, frames=tuple(map(redder, shown.frames)), untouched=redder(shown.untouched))
+    mended = suggest("mask", red).apply(red.preset)
+    low, high = mended.mask.hue
+    assert low > high
+    plain = suggest("mask", shown).apply(shown.preset)
+    areas = [ContactPipeline(preset, each.rig).process(each.frame).area_mm2
+             for preset, each in ((mended, red), (plain, shown))]  # fmt: skip
+    assert areas[0] == pytest.approx(areas[1], rel=0.02)
+
+
+def test_a_pressed_frame_alone_gives_a_mask(evidence, suggest):
+    proposal = suggest("mask", evidence(UNMASKED, untouched=False))
+    assert "An untouched frame would tell" in proposal.evidence
+    assert np.abs(np.subtract(proposal.changes["mask.hue"], SHIPPED.mask.hue)).max() <= 5
+
+
+def test_small_contacts_that_look_like_prints_are_refused(evidence, suggest):
+    with pytest.raises(AdviceError, match="capture an untouched frame"):
+        suggest("mask", evidence(UNMASKED, "sim:octopus?press=low", untouched=False))
+
+
+def test_a_mask_that_does_as_well_is_kept(evidence, suggest):
+    proposal = suggest("mask", evidence(SHIPPED))
+    assert not proposal.changes
+    assert "covers" in proposal.expected
+
+
+def test_a_membrane_without_prints_is_told(evidence, suggest):
+    shown = evidence(UNMASKED)
+    far = np.where(shown.untouched.proximity_depth > 0, 2400, 0).astype(np.uint16)
+    with pytest.raises(AdviceError, match="no print reflects infrared"):
+        suggest("mask", replace(shown, untouched=replace(shown.untouched, proximity_depth=far)))

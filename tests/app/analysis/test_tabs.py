@@ -1,9 +1,8 @@
-"""A simulated cup is found and tracked from frame to frame, by real mouse and key events."""
+"""The tabs Track and Tilt: a simulated cup is found and followed, and its angles are shown."""
 
+import math
 import socket
 from concurrent.futures import ThreadPoolExecutor
-from itertools import chain, repeat
-from threading import Event
 
 import numpy as np
 import pytest
@@ -13,9 +12,10 @@ from PyQt6.QtTest import QTest
 from fakes import at_rest
 from foxglove_client import FoxgloveClient
 from hands import LEFT, show_source, type_into
-from tactune.core import PoseTracker
+from small_recordings import small_rig
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -92,26 +92,6 @@ def test_the_cup_is_found_followed_lost_and_found_again(qtbot, tab, source):
     qtbot.waitUntil(lambda: not tab.tracked.estimate.lost)
 
 
-def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
-    ended = Event()
-
-    def search_for_ever(_tracker, _patch, progress):
-        try:
-            for share in chain([0.25], repeat(0.5)):
-                progress(share)
-                Event().wait(0.01)
-        finally:
-            ended.set()
-
-    monkeypatch.setattr(PoseTracker, "find", search_for_ever)
-    QTest.mouseClick(tab.track_button, LEFT)
-    qtbot.waitUntil(tab.working.isVisible)
-    QTest.mouseClick(tab.working.cancel, LEFT)
-    qtbot.waitUntil(ended.is_set)
-    qtbot.waitUntil(lambda: not tab.track_button.isChecked() and not tab.working.isVisible())
-    assert tab.tracked is None
-
-
 def poses_are_published_also_behind_another_tab(qtbot, tab, source):
     publishing = tab.main.publishing.panel
     with socket.socket() as free:
@@ -141,3 +121,49 @@ def poses_are_published_also_behind_another_tab(qtbot, tab, source):
     true = source.read(PRESSED).truth.T_proximity_object
     assert np.hypot(pose.pose.position.x - true[0][3], pose.pose.position.y - true[1][3]) < 0.003
     assert np.linalg.eigvalsh(np.reshape(pose.covariance, (6, 6))).min() > 0
+
+
+def opened(qtbot, window, source=None, index=3):
+    """Show a frame in the tab, opened by its key."""
+    show_source(qtbot, window, source or open_source("sim:cup?press=medium"), index)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_F8, Qt.KeyboardModifier.ShiftModifier)
+    analysis = window.analysis.window
+    qtbot.waitExposed(analysis)
+    tab = analysis.made["tilt"]
+    qtbot.waitUntil(lambda: tab.shown is not None and tab.shown[0].frame.sequence == index)
+    return tab
+
+
+def go_to(qtbot, window, tab, index):
+    window.worker.seek(index)
+    qtbot.waitUntil(lambda: tab.shown is not None and tab.shown[0].frame.sequence == index)
+
+
+def test_shows_the_angles(qtbot, window):
+    tab = opened(qtbot, window)
+    alone = tab.shown[1]
+    assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
+    assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
+    assert [name for name, _ in tab.cloud.legend.entries] == ["patch", "fitted plane"]
+    assert "noise" in tab.status.text()  # that of the rig was not measured
+
+
+def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, window):
+    tab = opened(qtbot, window)
+    assert tab.roll.text()
+    assert window.document.edit("rig", small_rig(64).model_dump(mode="json"))
+    qtbot.waitUntil(lambda: window.result.patch is None)
+    qtbot.waitUntil(lambda: tab.shown is None)
+    assert (tab.roll.text(), tab.axis.text()) == ("", "")
+    assert tab.cloud.notice.text() == tab.status.text() == window.result.problem != ""
+
+
+def test_the_angles_are_drawn_over_time(qtbot, window):
+    tab = opened(qtbot, window)
+    first = tab.shown[1]
+    go_to(qtbot, window, tab, 4)
+    times, roll = next(it for it in tab.plot.getPlotItem().listDataItems() if it.name() == "roll").getData()
+    assert len(times) == 2 and times[0] < times[1]
+    assert roll[0] == pytest.approx(math.degrees(first.roll_rad))

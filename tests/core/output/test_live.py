@@ -1,19 +1,24 @@
-"""ROS 2 topics without ROS, received in processes of their own by Fast DDS, ROS 2's default, and by Cyclone DDS."""
+"""Live topics: ROS 2 without ROS, received by Fast DDS and Cyclone DDS, and who may connect to the Foxglove server."""
 
 import os
-import signal
 import socket
 import threading
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from fast_dds import FastDds
+from foxglove_client import FoxgloveClient
 from ros_messages import points_of
 from tactune.core.errors import PublishError
-from tactune.core.output.publisher import Publisher
+from tactune.core.output.foxglove import FoxgloveSink
+from tactune.core.output.messages import NUMBER
+from tactune.core.output.publisher import LiveMessage, Publisher
 from tactune.core.output.ros2 import DdsSink
 
 PERIOD_S = 1 / 30
@@ -64,26 +69,6 @@ def test_fast_dds_receives_every_bit(processed, fast_dds_program, domain):
     assert "tactile_depth_optical_frame" in {t.child_frame_id for t in transforms.decoded("/tf_static").transforms}
 
 
-@pytest.mark.long
-def test_a_subscriber_that_hangs_loses_its_own_frames_only(processed, fast_dds_program, domain):
-    cloud = {"/proximity/points": "reliable"}
-    with (
-        published(processed, DdsSink(domain)) as publisher,
-        FastDds(fast_dds_program, domain, cloud) as quick,
-        FastDds(fast_dds_program, domain, cloud) as slow,
-    ):
-        quick.wait_for_more("/proximity/points")
-        slow.wait_for_more("/proximity/points")
-        os.kill(slow.process.pid, signal.SIGSTOP)
-        sent = publisher.status()[0].sent
-        quick.wait_for_more("/proximity/points", 60)
-        status = publisher.status()[0]
-        assert status.error == ""
-        assert status.sent > sent + 50
-        os.kill(slow.process.pid, signal.SIGCONT)
-        slow.wait_for_more("/proximity/points")
-
-
 def udp_sockets():
     """Return address, port and device of this process's UDP sockets by file descriptor."""
     found = {}
@@ -126,3 +111,58 @@ def test_an_address_that_this_computer_does_not_have_is_named(domain):
     sink = DdsSink(domain, host="192.0.2.77")
     with pytest.raises(PublishError, match=r"no network interface with the address 192\.0\.2\.77"):
         sink.start()
+
+
+TOPIC = "/a"
+
+
+@pytest.fixture
+def sink():
+    sink = FoxgloveSink("127.0.0.1", 0, max_clients=2, origins=("https://app.foxglove.dev",))
+    sink.start()
+    sink.announce({TOPIC: NUMBER})
+    yield sink
+    sink.close()
+
+
+def port_of(sink):
+    return int(sink.status().place.rpartition(":")[2])
+
+
+@pytest.mark.parametrize("origin", ["https://example.com", "http://127.0.0.1:8000", "null"])
+def test_a_web_page_is_refused(sink, origin):
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"ws://127.0.0.1:{port_of(sink)}", origin=origin)
+
+
+@pytest.mark.parametrize("origin", [None, "file://", "https://app.foxglove.dev"])
+def test_programs_and_the_web_page_that_is_allowed_connect(sink, origin):
+    with FoxgloveClient(port_of(sink), origin=origin) as client:
+        client.wait_for_channels([TOPIC])
+
+
+def test_no_more_clients_than_allowed_and_one_that_leaves_makes_room(sink):
+    with FoxgloveClient(port_of(sink)), FoxgloveClient(port_of(sink)), pytest.raises(InvalidStatus, match="503"):
+        connect(f"ws://127.0.0.1:{port_of(sink)}")
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        try:
+            FoxgloveClient(port_of(sink)).close()
+            return
+        except InvalidStatus:
+            continue
+    raise AssertionError("clients that left are still counted")
+
+
+def test_a_client_that_reads_nothing_delays_no_other_and_keeps_little(sink):
+    with FoxgloveClient(port_of(sink), max_queue=1) as slow, FoxgloveClient(port_of(sink)) as quick:
+        for client in (slow, quick):
+            client.subscribe([TOPIC])
+        while sink.status().clients < 2:
+            time.sleep(0.01)
+        messages = quick.raw_messages()
+        for stamp_ns in range(1, 101):
+            sink.send([LiveMessage(TOPIC, NUMBER, bytes(5_000_000), stamp_ns)])
+            assert next(messages)[1] == stamp_ns
+        client = next(it for it in sink._clients if it.waiting)
+        assert list(client.waiting) == [TOPIC] and client.waiting[TOPIC].stamp_ns == 100
