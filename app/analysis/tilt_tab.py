@@ -24,7 +24,7 @@ from ...widgets.plots.plot import Plot
 from ..context import Context
 from ..worker.jobs import Work
 from ..worker.results import Result
-from .tab import LiveTab
+from .tab import LiveTab, Row
 
 _NOT_DETERMINED = f"no tilt, as of a line or a dot (standard deviation above {math.degrees(MAX_SIGMA_RAD):.0f}°)"
 _ROLL_RGB, _PITCH_RGB = (235, 60, 40), (40, 150, 255)
@@ -33,17 +33,22 @@ _PLANE_ROW: Final = CONTACT_ROW - 1
 _LINES, _ON_LINE, _NORMAL_M = 9, 160, 0.03
 #: The newest frames that the plot shows.
 _PLOTTED: Final = 1800
+_ANGLES: Final = [f"{angle}{sigma}_rad" for angle in ("roll", "pitch", "axis") for sigma in ("", "_sigma")]
 
 
 class TiltTab(LiveTab):
     """Estimates the tilt of each frame that the main window shows."""
 
+    COLUMNS = (
+        *("frame", "time_s", "points"),
+        *(name.replace("rad", "deg") for name in _ANGLES),
+    )
+    EXPORT = "tilt"
+
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         #: The frame and the tilt on the screen; None before the first frame with a patch.
         self.shown: tuple[Result, Tilt] | None = None
-        #: Time, roll, pitch and their standard deviations, by frame number, the newest last.
-        self._rows: dict[int, Float64Array] = {}
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch = (wrapped_label(verdict=True, selectable=True) for _ in range(2))
         self.axis = wrapped_label(selectable=True)
@@ -79,8 +84,6 @@ class TiltTab(LiveTab):
 
     def begin(self, result: Result) -> None:
         self._show_none()
-        self._rows = {}
-        self._plot_rows()
 
     def work(self, result: Result) -> Work:
 
@@ -92,21 +95,18 @@ class TiltTab(LiveTab):
 
         return estimate
 
-    def show_found(self, result: Result, found: Any) -> None:
-        frame = result.frame
-        self._rows.pop(frame.sequence, None)  # as in a loop, the newest is the last
+    def show_found(self, result: Result, found: Any) -> Row | None:
         if found is None or result.patch is None:
             self._show_none()
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
-            return
+            return None
         self.shown = result, found
         self._show(result, result.patch.points, found)
-        angles = found.roll_rad, found.roll_sigma_rad, found.pitch_rad, found.pitch_sigma_rad
-        self._rows[frame.sequence] = np.array([frame.proximity_time_s, *angles], np.float64)  # None: nan
-        if len(self._rows) > _PLOTTED:
-            del self._rows[next(iter(self._rows))]
-        self._plot_rows()
+        angles = [getattr(found, name) for name in _ANGLES]
+        degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
+        frame = result.frame
+        return (frame.sequence, round(frame.proximity_time_s, 6), len(result.patch.points), *degrees)
 
     def _show_none(self) -> None:
         """Show no tilt: those of other frames would be taken for this one's."""
@@ -134,10 +134,13 @@ class TiltTab(LiveTab):
             hints.append("usual noise assumed: measure it (F6)")
         self.status.setText(" · ".join(hints))
 
-    def _plot_rows(self) -> None:
-        rows = np.array([*self._rows.values()]).reshape(-1, 5)
-        times, *angles = rows[rows[:, 0].argsort()].T
-        for (curve, ends), angle, sigma in zip(self._curves, *np.degrees((angles[::2], angles[1::2])), strict=True):
+    def rows_changed(self) -> None:
+        rows = sorted(list(self.rows.values())[-_PLOTTED:], key=lambda row: float(row[1]))
+        times = np.array([row[1] for row in rows])
+        first = self.COLUMNS.index("roll_deg")
+        for place, (curve, ends) in enumerate(self._curves):
+            at = first + 2 * place
+            angle, sigma = np.array([row[at : at + 2] for row in rows], np.float64).reshape(-1, 2).T  # None: nan
             curve.setData(times, angle)
             for end, sign in zip(ends, (-1, 1), strict=True):
                 end.setData(times, angle + sign * sigma)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from ...core.errors import MissingExtraError, as_sentence, minus
 from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, load_mesh, simulated_mesh
-from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
+from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error, pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.sources.simulator.scenes import read_name, resolve_scene
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
@@ -30,12 +30,13 @@ from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
 from ..worker.jobs import Job, JobRow, Progress, Work
 from ..worker.results import Result
-from .tab import LiveTab
+from .tab import LiveTab, Row
 
 _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _MODEL_RGB: Final = (24, 120, 230)
 #: A component with a larger standard deviation is not determined, metres and radians.
 _FREE_M, _FREE_RAD = 0.02, 0.3
+_NOBODY: Final = PoseEstimate(0, 0.0, np.eye(4), np.eye(6), 6, math.nan, 0.0, lost=True)
 #: Points that a model is drawn with, and the number of blues that shade it by its normals.
 _MODEL_POINTS: Final = 9000
 _SHADES: Final = 5
@@ -123,6 +124,9 @@ class FrameTracker:
 class TrackTab(LiveTab):
     """The patch with the model in its pose, and the numbers of the pose."""
 
+    COLUMNS = tuple(pose_record(_NOBODY))
+    EXPORT = "poses"
+
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self.model: Model | None = None
@@ -190,6 +194,7 @@ class TrackTab(LiveTab):
     def _opened(self, model: Model) -> None:
         self.job.cancel()  # it may search for the former object
         self.track_button.setChecked(False)
+        self.forget()
         self.model = model
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
         self._show()
@@ -226,9 +231,13 @@ class TrackTab(LiveTab):
 
         return track
 
-    def show_found(self, result: Result, found: Any) -> None:
+    def show_found(self, result: Result, found: Any) -> Row | None:
         self.tracked = found if self._tracker is not None else None
+        if self.tracked is None:
+            self._show()
+            return None
         self._show()
+        return tuple(pose_record(self.tracked.estimate, self.tracked.error).values())
 
     # Display
 

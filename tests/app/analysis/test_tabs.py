@@ -1,5 +1,6 @@
-"""The tabs Track and Tilt: a simulated cup is found and followed, and its angles are shown."""
+"""The tabs Track and Tilt: a simulated cup is found and followed, its angles are shown; both are exported."""
 
+import csv
 import math
 import socket
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ from PyQt6.QtTest import QTest
 
 from fakes import at_rest
 from foxglove_client import FoxgloveClient
-from hands import LEFT, show_source, type_into
+from hands import LEFT, show_source, type_into, type_path
 from small_recordings import small_rig
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
@@ -67,7 +68,7 @@ def test_a_mesh_is_opened_refused_or_taken_from_the_simulator(qtbot, tab, source
     np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source.scene, source.name).vertices_m)
 
 
-def test_the_cup_is_found_followed_lost_and_found_again(qtbot, tab, source):
+def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, source, tmp_path):
     drawn = tab.scene.point_count()
     QTest.mouseClick(tab.track_button, LEFT)
     qtbot.waitUntil(lambda: tab.tracked is not None)
@@ -82,6 +83,12 @@ def test_the_cup_is_found_followed_lost_and_found_again(qtbot, tab, source):
         true = np.array(source.read(index).truth.T_proximity_object)
         assert abs(tab.tracked.estimate.T_proximity_object[2, 3] - true[2, 3]) < 0.001
     assert "mm" in tab.pose.text() and "±" in tab.pose.text()
+    QTest.mouseClick(tab.export, LEFT)
+    type_path(qtbot, tmp_path / "poses.csv")
+    qtbot.waitUntil(lambda: tab.messages.by_key.get("done") is not None)
+    rows = list(csv.DictReader((tmp_path / "poses.csv").read_text(encoding="utf-8").splitlines()))
+    assert [int(row["sequence"]) for row in rows] == [PRESSED - 1, PRESSED, PRESSED + 1]
+    assert float(rows[-1]["position_error_mm"]) < 2
     poses_are_published_also_behind_another_tab(qtbot, tab, source)
     tab.main.analysis.window.open_on("track")
     tab.main.worker.pause()
@@ -160,10 +167,14 @@ def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, win
     assert tab.cloud.notice.text() == tab.status.text() == window.result.problem != ""
 
 
-def test_the_angles_are_drawn_over_time(qtbot, window):
+def test_rows_are_exported(qtbot, window, tmp_path):
     tab = opened(qtbot, window)
     first = tab.shown[1]
     go_to(qtbot, window, tab, 4)
-    times, roll = next(it for it in tab.plot.getPlotItem().listDataItems() if it.name() == "roll").getData()
-    assert len(times) == 2 and times[0] < times[1]
-    assert roll[0] == pytest.approx(math.degrees(first.roll_rad))
+    tab.save_to(tmp_path / "tilt.csv")
+    qtbot.waitUntil(lambda: tab.messages.by_key.get("done") is not None)
+    with (tmp_path / "tilt.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["frame"] for row in rows] == ["3", "4"]
+    assert float(rows[0]["roll_deg"]) == pytest.approx(math.degrees(first.roll_rad), abs=1e-3)
+    assert float(rows[1]["roll_sigma_deg"]) > 0
