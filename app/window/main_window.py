@@ -243,6 +243,7 @@ class MainWindow(QMainWindow):
         self.views.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wantedChanged.connect(self._send_wanted)
+        self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.maskShown.connect(self._send_wanted)
         self.eyedropper.started.connect(self._show_color_image)
         for path in self.panel.histograms:

@@ -143,6 +143,14 @@ def test_an_error_in_a_slot_is_shown_and_passed_on(window, qtbot):
     assert [str(error) for _, error, _ in raised] == ["the membrane burst"]
 
 
+def test_region_dragged_in_the_strip_is_a_step(window, qtbot):
+    window.document.edit("region.enabled", True)
+    window.strip.regionEdited.emit((4, 4, 20, 20), 11)
+    window.strip.regionEdited.emit((4, 4, 30, 20), 11)
+    assert window.document.preset.region.rectangle == (4, 4, 30, 20)
+    assert window.document.undo_stack.count() == 2
+
+
 def test_a_frame_that_overtakes_the_news_of_its_source_stays(window):
     window.worker.opened.emit(window.result.source)
     assert window.views.views[CloudName.PATCH].point_count() > 0

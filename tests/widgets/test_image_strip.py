@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 
 from hands import LEFT, image_position, shown, turn_wheel
@@ -135,13 +135,27 @@ def test_the_keyboard_points_clicks_and_zooms(strip, qapp):
     assert seen_rect(strip, "difference") == pytest.approx(whole, abs=0.5)
 
 
-def test_the_region_stands_on_every_image(strip):
+def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip, qapp):
     strip.set_region((100, 80, 400, 300))
-    for pane in strip.panes.values():
-        assert pane.region.isVisible()
-        assert pane.region.rect() == QRectF(99.5, 79.5, 400, 300)
-    strip.set_region(None)
-    assert not any(pane.region.isVisible() for pane in strip.panes.values())
+    qapp.processEvents()
+    edits = []
+    strip.regionEdited.connect(lambda rectangle, gesture: edits.append((rectangle, gesture)))
+    port = viewport(strip, "proximity")
+    start, end = at(strip, "proximity", 499.5, 379.5), at(strip, "proximity", 560, 420)
+    QTest.mouseMove(port, start)
+    QTest.mousePress(port, LEFT, pos=start)
+    for share in (0.3, 0.7, 1.0):
+        QTest.mouseMove(port, start + (end - start) * share)
+    QTest.mouseRelease(port, LEFT, pos=end)
+    assert edits
+    rectangle = edits[-1][0]
+    assert rectangle[:2] == (100, 80)
+    assert rectangle[2] == pytest.approx(460, abs=4)
+    assert rectangle[3] == pytest.approx(340, abs=4)
+    assert all(isinstance(number, int) for number in rectangle)
+    assert len({gesture for _, gesture in edits}) == 1
+    for region in strip.regions.values():
+        assert region.rectangle == rectangle
 
 
 HEIGHT, WIDTH = 48, 64

@@ -8,14 +8,13 @@ from typing import Any
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QImage, QKeyEvent, QPainter, QPaintEvent, QPalette
-from PyQt6.QtWidgets import QGraphicsRectItem, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
 from ..basics.colormaps import Legend
 from ..basics.controls import ElidedLabel
 from ..basics.layouts import vbox
 from ..basics.overlays import Notice, Wipe, WipeGrip, paint_wipe
-from ..basics.theme import ACCENT
 from ..clouds.cloud_labels import LegendLine
 
 #: Columns and rows that each arrow key moves, and the factor of each zoom key.
@@ -128,11 +127,6 @@ class ImagePane(QWidget):
         self.view.setCentralItem(self.box)
         self._pixels = PixelItem()
         self.box.addItem(self._pixels, ignoreBounds=True)
-        self.region = QGraphicsRectItem()
-        self.region.setPen(pg.mkPen(ACCENT, width=2))
-        self.region.setZValue(10)
-        self.region.hide()
-        self.box.addItem(self.region, ignoreBounds=True)
         self.cross = pg.PlotCurveItem(connect="pairs", pen=pg.mkPen("w"), shadowPen=pg.mkPen((0, 0, 0, 150), width=3))
         self.cross.setZValue(20)
         self.cross.hide()
@@ -173,11 +167,6 @@ class ImagePane(QWidget):
         """Return the column from which on the right image is shown."""
         wipe, rect = self.view.grip.wipe, self.box.viewRect()
         return None if wipe is None else rect.left() + wipe.share * rect.width()
-
-    def set_region(self, rectangle: Rectangle | None) -> None:
-        self.region.setVisible(rectangle is not None)
-        if rectangle is not None:
-            self.region.setRect(QRectF(*rectangle).translated(-0.5, -0.5))
 
     def set_cross(self, u: int, v: int) -> None:
         """Show the crosshair at a pixel; negative numbers hide it."""

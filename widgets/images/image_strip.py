@@ -12,6 +12,7 @@ from ..basics.layouts import hbox, vbox
 from ..basics.overlays import Wipe
 from ..clouds.cloud_labels import level
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Rectangle, moved_by_arrow
+from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip
 
 #: Name and title of each pane, left to right.
@@ -63,6 +64,7 @@ class ImageStrip(QWidget):
 
     hovered = pyqtSignal(int, int)  # u, v: the proximity pixel pointed at; -1, -1 for none
     clicked = pyqtSignal(str, int, int, object)  # key of the pane, u, v, modifiers
+    regionEdited = pyqtSignal(object, int)  # region of interest (left, top, width, height), gesture
     wantedChanged = pyqtSignal()  # other images or another resolution are needed; a paused frame is rendered again
     wipeDragged = pyqtSignal(float)  # share: the wipe was dragged in one of the images
     pickingDone = pyqtSignal()  # *Done* was pressed in the banner
@@ -70,6 +72,7 @@ class ImageStrip(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.panes = {name: ImagePane(title) for name, title in PANES.items()}
+        self.regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
         self.readout = ElidedLabel(lines=2)
         self._size = (640, 480)
         self._pixel = (-1, -1)
@@ -164,9 +167,9 @@ class ImageStrip(QWidget):
             pane.badge.set_text(text)
 
     def set_region(self, rectangle: Rectangle | None) -> None:
-        """Show the region of interest (left, top, width, height), or none."""
-        for pane in self.panes.values():
-            pane.set_region(rectangle)
+        """Show the region of interest (left, top, width, height), or none; never emits."""
+        for region in self.regions.values():
+            region.set_rectangle(rectangle)
 
     def set_picking(self, words: str) -> None:
         """Say in a banner what to click in the colour image, which gets a picking cursor; empty words end that."""
@@ -219,6 +222,7 @@ class ImageStrip(QWidget):
         pane.viewMoved.connect(lambda: setattr(self, "_fitted", False))
         pane.resized.connect(self._pane_resized)
         pane.wipeDragged.connect(self.wipeDragged)
+        self.regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
 
     def point_at(self, u: int, v: int) -> None:
         """Put the crosshair on a pixel; -1, -1 hides it."""
@@ -259,6 +263,12 @@ class ImageStrip(QWidget):
         self._fitted = False
         box = self._shown().box
         box.scaleBy((factor, factor), center=self._pixel if self._pixel != (-1, -1) else None)
+
+    def _region_edited(self, source: str, rectangle: Rectangle, gesture: int) -> None:
+        for name, region in self.regions.items():
+            if name != source:
+                region.set_rectangle(rectangle)
+        self.regionEdited.emit(rectangle, gesture)
 
     def _check_hint(self) -> None:
         hint = self.width_hint(), self.shown_images()

@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import atan2, cos, hypot, sin
-from typing import Final
+from typing import Any, Final
 
-from PyQt6.QtCore import QPointF, QRectF, Qt
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import QObject, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QTransform
 from PyQt6.QtWidgets import QWidget
 
-from ..basics.theme import CASING
-from .image_pane import ImagePane
+from ..basics.gestures import GestureClock
+from ..basics.theme import ACCENT, CASING
+from .image_pane import ImagePane, Rectangle
 
 #: Distance in screen pixels within which the mouse grabs a mark.
 REACH: Final = 9.0
@@ -178,3 +181,66 @@ def _text(painter: QPainter, place: QPointF, text: str, color: QColor) -> None:
         painter.drawText(place + QPointF(dx, dy), text)
     painter.setPen(color)
     painter.drawText(place, text)
+
+
+_CORNERS = (((0, 0), (1, 1)), ((1, 0), (0, 1)), ((0, 1), (1, 0)), ((1, 1), (0, 0)))
+
+
+class RegionItem(QObject):
+    """Shows (left, top, width, height) on a pane; corners resize it, the interior moves it."""
+
+    edited = pyqtSignal(object, int)  # rectangle, gesture
+
+    def __init__(self, pane: ImagePane) -> None:
+        super().__init__(pane)
+        self._pane = pane
+        self.rectangle: Rectangle | None = None
+        self._clock = GestureClock()
+        pen = pg.mkPen(ACCENT, width=2)
+        lit = pg.mkPen("w", width=2)
+        self.roi = pg.ROI(
+            (0, 0), (1, 1), movable=False, rotatable=False, resizable=False, pen=pen, handlePen=pen, handleHoverPen=lit
+        )
+        for corner, opposite in _CORNERS:
+            self.roi.addScaleHandle(corner, opposite)
+        self.roi.addTranslateHandle((0.5, 0.5))
+        self.roi.setZValue(10)
+        self.roi.hide()
+        pane.box.addItem(self.roi, ignoreBounds=True)
+        self.roi.sigRegionChangeStarted.connect(self._clock.hold)
+        self.roi.sigRegionChanged.connect(self._changed)
+        self.roi.sigRegionChangeFinished.connect(self._finished)
+
+    def set_rectangle(self, rectangle: Rectangle | None) -> None:
+        """Show a rectangle, or none; never emits. The one being dragged is left alone."""
+        if self._clock.held or rectangle == self.rectangle:
+            return
+        self.rectangle = rectangle
+        self._show()
+
+    def _show(self) -> None:
+        self.roi.setVisible(self.rectangle is not None)
+        if self.rectangle is None:
+            return
+        left, top, width, height = self.rectangle
+        self.roi.setPos((left - 0.5, top - 0.5), update=False)
+        self.roi.setSize((width, height), finish=False)
+
+    def _changed(self, *_: Any) -> None:
+        rectangle = self._rounded()
+        if self._clock.held and rectangle != self.rectangle:
+            self.rectangle = rectangle
+            self.edited.emit(rectangle, self._clock.number())
+
+    def _finished(self, *_: Any) -> None:
+        self._clock.release()
+        self._show()
+
+    def _rounded(self) -> Rectangle:
+        """Return the dragged rectangle in whole pixels, cut to the image."""
+        extents = self._pane.image_rect().size().toSize()
+        starts, lengths = np.array(self.roi.pos()) + 0.5, np.array(self.roi.size())
+        ends = np.sort([starts, starts + lengths], axis=0)
+        (left, top), (right, bottom) = np.rint(ends).astype(int).tolist()
+        left, top = min(max(left, 0), extents.width() - 1), min(max(top, 0), extents.height() - 1)
+        return left, top, max(1, min(right, extents.width()) - left), max(1, min(bottom, extents.height()) - top)
