@@ -52,7 +52,7 @@ _SMALL_M2: Final = 15e-6
 #: logarithm, for each radius that the error is larger. Beyond the third share it is said.
 _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
 #: There is too little depth beyond this share of the boundary or of the tactile depth; more noise beyond this ratio.
-_MANY_UNSEEN, _NOISIER = 0.2, 1.35
+_MANY_UNSEEN, _NOISIER = 0.1, 1.35
 #: A dent is missing, and said to be, from this evidence on.
 _MISSING: Final = -1.0
 #: Of the inflation when it was untouched, the share below which the membrane counts as deflated.

@@ -64,9 +64,8 @@ _DRIFT_SIGMA_M: Final = 0.0007
 #: On prints most differences agree with their most frequent one within this number of standard deviations of a pixel;
 #: where fewer than the second share do, the proximity camera looks through the mask's colour.
 _PRINT_SIGMAS, _MIN_AGREEING = 2.5, 0.5
-#: A measured bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to
-#: miss a contact is a larger error than to show it too wide.
-_LEAN: Final = 0.8
+#: A bias without firm contact is raised by this share of its deviation, limited, metres: to miss contact is worse.
+_LEAN: Final = 0.4
 _MAX_LEAN_SIGMA_M: Final = 0.001
 
 

@@ -186,7 +186,7 @@ def cells_of(
     cell_kernels.measure_cells(smooth, _MIN_SHARES_OF_SURFACE, (size_px / camera.fx, size_px / camera.fy), surface)
     queue, sources = np.empty((2, share.size), np.int32)
     cell_kernels.extrapolate(surface.bulges, known, round(_REACH_PX / size_px), queue)
-    push = np.maximum(np.float32(free_per_m) - surface.bulges, _MIN_PUSH_PER_M)
+    push = np.float32(free_per_m) - surface.bulges
 
     top, left = (start - FRAME * size_px for start in differences.corner)
     grid = cell_kernels.CellGrid(rays.rays, top, left, size_px)
@@ -250,7 +250,8 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     size = kernels.mark_inside(guess, cells.known, cells.linked, cells.weight, _MAX_GAP_M, inside)
     places, links = np.empty(size, np.int32), np.empty((6, size), np.float32)
     floors, loads = np.empty((2, size), np.float32)
-    images = kernels.CellImages(measured, cells.known, cells.linked, cells.push_per_m, cells.sides_m, cells.weight)
+    push = np.maximum(cells.push_per_m, _MIN_PUSH_PER_M)
+    images = kernels.CellImages(measured, cells.known, cells.linked, push, cells.sides_m, cells.weight)
     even = kernels.link_cells(inside, images, np.float32(trust_m), places, links, floors, loads)
     if start is not None:
         np.copyto(gap, start.gap_m, where=inside & cells.known)

@@ -53,6 +53,8 @@ _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
 #: depth, and at least, metres. A cell has no depth where this share has none; and the residual of cells in contact as a
 #: multiple of a pixel's noise.
 _PER_STRIP, _UNSEEN_ERROR_M, _BOUNDARY_FLOOR_M, _MAX_UNSEEN, _USUAL_RESIDUAL = 1.1, 0.007, 0.0007, 0.9, 0.85
+#: Contact at less than this share of the inflation, averaged over a window of this sigma, cells, hardly presses.
+_HARDLY, _HOLLOW_CELLS = 0.4, 3.0
 #: A cell and its four neighbours.
 _CROSS: Final = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 #: A membrane is not nearer to the camera, metres.
@@ -272,10 +274,9 @@ def facts(
 
 
 def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> Boundary:
-    """Return what is known of the boundary of contact.
+    """Return what is known of the boundary of contact, by terms that fit the errors in ``tactune lab faults``.
 
-    An error of the bias moves it to where the gap is larger by as much. The other terms, and how they add up, fit the
-    errors in ``tactune lab faults``.
+    An error of the bias moves it to where the gap is larger by as much; a hollow that hardly presses may be spanned.
     """
     import cv2
 
@@ -287,7 +288,10 @@ def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Mea
     if count == 0:
         return Boundary(math.nan, 0.0, 1.0)
     nearly = (solution.gap_m <= gap_m + measured.bias.sigma_m) & ~touching
-    strip_m = float(areas[nearly].sum()) / (count * math.sqrt(float(np.median(areas[border]))))
+    pressed = np.where(touching, cells.push_per_m - np.float32(_HARDLY * measured.free_per_m), np.float32(0))
+    hollow = touching & (cv2.GaussianBlur(pressed, (0, 0), _HOLLOW_CELLS) < 0)
+    uncertain_m2 = float(areas[nearly].sum() + 2 * areas[hollow].sum())
+    strip_m = uncertain_m2 / (count * math.sqrt(float(np.median(areas[border]))))
     unseen = int(np.count_nonzero(border & ~seen)) / count
     noise = float(np.std(solution.residual_m[touching & (cells.share > 0)])) / (_USUAL_RESIDUAL * known.pixel_sigma_m)
     error_m = math.hypot(_PER_STRIP * strip_m, _UNSEEN_ERROR_M * unseen, _BOUNDARY_FLOOR_M) * max(noise, 1.0) ** 1.5

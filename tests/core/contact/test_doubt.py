@@ -126,6 +126,17 @@ def test_a_measured_bias_that_the_contact_test_does_not_correct_is_a_reason_for_
     assert "bias not corrected" in ContactPipeline(tolerance, touch.rig).process(touch.read(0)).doubt.reasons
 
 
+def test_a_hole_in_an_eighth_of_the_contact_is_said(rig):
+    preset, untouched, touch, _ = rig
+    frame = touch.read(0)
+    rows, columns = np.nonzero(frame.truth.contact)
+    v, u = np.indices(frame.truth.contact.shape)
+    depth = frame.proximity_depth.copy()
+    depth[np.hypot(v - np.median(rows), u - np.median(columns)) < np.sqrt(len(rows) / 8 / np.pi)] = 0
+    patch = ContactPipeline(preset, touch.rig, untouched).process(replace(frame, proximity_depth=depth))
+    assert patch.doubt.reasons == ("too little depth",)
+
+
 def test_what_moves_everywhere_is_no_dent(rig):
     """Another inflation brings the whole membrane nearer; a touch there must still dent it."""
     preset, untouched, touch, _ = rig

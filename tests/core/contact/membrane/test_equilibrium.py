@@ -1,6 +1,7 @@
 """The obstacle problem of the membrane test: against other solvers and analytic solutions, and what always holds."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from scipy.optimize import lsq_linear
 
 from rigs import one_place_rig
 from tactune.core.contact.kernels import equilibrium as kernels
-from tactune.core.contact.membrane.equilibrium import Cells, measured_curvature_per_m, over_window
+from tactune.core.contact.membrane.equilibrium import Cells, measured_curvature_per_m, over_window, settle
+from tactune.core.contact.membrane.steps import boundary_of
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
@@ -41,6 +43,21 @@ def equations(cells, inside, trust_m, bias_m=0.0):
     images = kernels.CellImages(measured, cells.known, cells.linked, cells.push_per_m, cells.sides_m, cells.weight)
     even = kernels.link_cells(inside, images, np.float32(trust_m), places, links, floors, loads)
     return kernels.Equations(places, links, floors, even), loads
+
+
+def test_a_hollow_that_is_hardly_pressed_makes_the_boundary_less_certain():
+    flat, hollow = np.full((2, COUNT, COUNT), 10.0, np.float32)
+    hollow[:, 25:36] = -10.0
+    known, one, sides = np.zeros(flat.shape, bool), np.ones_like(flat), np.full((2, *flat.shape), SIDE_M, np.float32)
+    known[1:-1, 1:-1] = True
+    rig = SimpleNamespace(pixel_sigma_m=0.001)
+    measured = SimpleNamespace(known=rig, bias=SimpleNamespace(sigma_m=0.0003), free_per_m=10.0)
+    errors_m = []
+    for push in (flat, hollow):
+        share = known.astype(np.float32)
+        cells = Cells(-0.001 * one, share, 0 * one, share, over_window(share, 3), known, known, push, sides, one, 3)
+        errors_m.append(boundary_of(cells, settle(cells, 0.0, 0.016), 5e-5, measured).error_m)
+    assert errors_m[1] > errors_m[0] + 0.002
 
 
 @pytest.mark.parametrize("seed", range(4))
