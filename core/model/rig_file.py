@@ -119,4 +119,5 @@ def field_sentence(detail: Any, what: str) -> str:
     if detail["type"] == "extra_forbidden":
         return f"{where} is no field of {what}; remove or correct it"
     found, why = foreign(reprlib.repr(detail["input"]), 80), detail["msg"].removeprefix("Value error, ")
-    return f"{where} is {found}: {why.replace('Input should', 'it should')}; correct it"
+    why = why.replace("Input should", "it should").replace("a valid boolean", "true or false")
+    return f"{where} is {found}: {why}; correct it"
