@@ -39,6 +39,8 @@ def test_hidden_parts_are_not_drawn(window, qtbot):
     qtbot.waitUntil(lambda: window.result.rendered.strip is None and window.result.rendered.histogram is None)
     window.actions_.show_strip.trigger()
     qtbot.waitUntil(lambda: window.result.rendered.strip is not None)
+    window.actions_.measure_noise.trigger()
+    assert window.set_up.noise.isVisible(), "a step of setting up is shown"
 
 
 def test_views_turn_together(window):

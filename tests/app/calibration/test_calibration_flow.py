@@ -77,6 +77,11 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
         assert pair.proximity_image == "color"
         assert pair.snapshot == 1
         assert pair.tactile_depth_m == pytest.approx(tactile_depth(scene, 1.0, dot), abs=4e-4)
+    shown = page.image.currentIndex()
+    choose(page.image, 1 - shown)
+    assert not left.layer.marks, "they were clicked in the other image"
+    choose(page.image, shown)
+    assert len(left.layer.marks) == 6
 
     # The other level, through the combo box
     choose(page.snapshot, 0)
