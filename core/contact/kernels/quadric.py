@@ -113,10 +113,12 @@ def fit_quadrics(
 
 
 @_fast_kernel
-def bend_quadrics(fits: Any, x: Any, y: Any, du: Any, dv: Any, twice_mean: Any, largest: Any) -> None:
+def bend_quadrics(fits: Any, x: Any, y: Any, du: Any, dv: Any, twice_mean: Any, largest: Any, noise: Any) -> None:
     """Write twice the mean and the larger principal curvature, (H, W), of surfaces of depth z on the rays (x, y, 1).
 
     ``fits`` (6, H, W) are the coefficients of z for steps of one cell, whose sides are ``du`` and ``dv`` at z = 1.
+    ``noise`` (H, W) receives the standard deviation of twice the mean curvature where stereo noise, which grows with
+    z^2, passes a Gaussian window, against a surface across the ray.
     """
     for row in range(x.shape[0]):
         for column in range(x.shape[1]):
@@ -136,6 +138,10 @@ def bend_quadrics(fits: Any, x: Any, y: Any, du: Any, dv: Any, twice_mean: Any, 
             twice_mean[row, column] = 2 * mean
             apart = mean * mean - (low * high - mid * mid) / square
             largest[row, column] = mean + np.sqrt(apart if apart > 0 else 0.0)
+            # second derivatives xx, yy, xy of a fit in a Gaussian window have variances of 3, 3, 1; of xx and yy: 1
+            spread = 3 * (e * e + g * g) + 2 * e * g + 4 * f * f
+            across = (nx * rx + ny * ry + nz) / area
+            noise[row, column] = z * z * across * np.sqrt(spread / 8) / square
 
 
 @_fast_kernel

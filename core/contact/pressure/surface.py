@@ -26,6 +26,10 @@ _STEEPEST, _SURFACE_SHARE = 3.0, 0.05
 _WINDOW_SHARE, _DEPTH_SHARE = 0.6, 0.3
 
 
+#: Mean depth of the cells, metres, and the share of their pixels with depth.
+Cells = tuple[Float64Array, Float64Array]
+
+
 class Grid(NamedTuple):
     """The cells about the membrane: rays of their centres, x / z and y / z, (H, W), and side over the focal length."""
 
@@ -75,6 +79,27 @@ class Grid(NamedTuple):
         return np.stack([self.x * depth_m, self.y * depth_m, depth_m], axis=-1)
 
 
+def halved(grid: Grid) -> Grid:
+    """Return cells of twice the side."""
+    side = 2 * grid.side[0], 2 * grid.side[1]
+    return Grid(_means(grid.x), _means(grid.y), side, grid.pixels)
+
+
+def halved_cells(depth_m: Float64Array, share: Float64Array) -> Cells:
+    """Return what `cells` returns, in cells of twice the side."""
+    wide = _means(share)
+    return _means(share * depth_m) / np.maximum(wide, 1e-9), wide
+
+
+def _means(values: Float64Array) -> Float64Array:
+    """Return the means of four values each."""
+    import cv2
+
+    height, width = values.shape
+    even = cv2.copyMakeBorder(values, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+
+
 class Shape(NamedTuple):
     """Coefficients of the fits, (6, H, W) over cells; nan where too little is seen."""
 
@@ -82,7 +107,7 @@ class Shape(NamedTuple):
     growth: Float64Array  # Of the curvature's standard deviation, against a window that is seen whole
 
 
-def cells(counts: Uint16Array, unit_m: float, offset_m: float, grid: Grid) -> tuple[Float64Array, Float64Array]:
+def cells(counts: Uint16Array, unit_m: float, offset_m: float, grid: Grid) -> Cells:
     """Return the mean depth of each cell, metres, and its share of pixels with depth.
 
     Both are 0 where that share is too small, at steps of the depth, and on small surfaces between steps, which are not
@@ -129,25 +154,19 @@ def _window(sigma: float) -> tuple[Float64Array, float]:
     return powers, float(whole[3, 3] + whole[5, 5])
 
 
-def curvature(shape: Shape, grid: Grid) -> tuple[Float64Array, Float64Array]:
-    """Return twice the mean curvature and the larger principal one, 1/m; nan if unknown.
+def curvature(shape: Shape, grid: Grid) -> Float64Array:
+    """Return twice the mean curvature, the larger principal one, 1/m, and the noise of the first; nan if unknown.
 
-    They are positive where the membrane bulges away from the camera.
+    Curvatures are positive where the membrane bulges away from the camera. The noise is the standard deviation as a
+    multiple of that of a membrane across the ray.
     """
-    twice_mean, largest = np.empty_like(grid.x), np.empty_like(grid.x)
-    bend_quadrics(shape.fit, grid.x, grid.y, *grid.side, twice_mean, largest)
-    return twice_mean, largest
+    found = np.empty((3, *grid.x.shape))
+    bend_quadrics(shape.fit, grid.x, grid.y, *grid.side, *found)
+    found[2] *= shape.growth
+    return found
 
 
-class Balance(NamedTuple):
-    """Integrals over the membrane around a contact; each is (3,)."""
-
-    air: Float64Array
-    pull: Float64Array
-    pressed: Float64Array
-
-
-def balance(points: Float64Array, weight: Float64Array, pressure: Float64Array) -> Balance:
+def balance(points: Float64Array, weight: Float64Array, pressure: Float64Array) -> Float64Array:
     """Return what air, tension and contact pressure sum up to on the membrane where ``weight``, (H, W), is 1.
 
     The contact force F in a region of weight w balances the air and the pull of the membrane around it:
@@ -158,7 +177,7 @@ def balance(points: Float64Array, weight: Float64Array, pressure: Float64Array) 
     """
     found = np.zeros((3, 3))
     add_triangles(points, weight, weight * pressure, found)
-    return Balance(*found)
+    return found
 
 
 def filled(depth_m: Float64Array) -> tuple[Float64Array, BoolArray, BoolArray]:

@@ -28,10 +28,11 @@ from .section import PressureSection
 if TYPE_CHECKING:
     from ...preset import Preset
     from ..pixels import Pixels
-    from .surface import Grid, Shape
+    from .surface import Cells, Grid, Shape
 
-#: Contact pressure exceeds its noise by this many standard deviations, and the membrane has moved by more, metres.
-PRESSURE_SIGMAS, _MOVED_M = 4.0, 0.0007
+#: Contact pressure exceeds its noise by this many standard deviations in one of two windows, by the second number in
+#: the finer one, and the membrane has moved by more than the third, metres.
+PRESSURE_SIGMAS, _LEAST_SIGMAS, _MOVED_M = 3.5, 2.0, 0.0007
 #: Window of the curvature, cells: smallest and largest; that of the slopes and of the edge of contact.
 _WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.3
 #: Near the rim, windows are cut, and other errors than noise grow: the limit grows by this power of the noise's growth.
@@ -50,9 +51,8 @@ _BOTH_SHARE: Final = 0.05
 _MODEL_SHARE: Final = 0.05
 #: The force and the sum of area times pressure differ by less than this many standard deviations of the force.
 _APART_SIGMAS: Final = 2.5
-#: A contact with fewer flat cells is too small to look flat, and ends at this share of its largest pressure, which is
-#: this quantile. What looks flat elsewhere has at most this level.
-_SMALL_CELLS, _SMALL_SHARE, _QUANTILE, _OUTSIDE = 4, 0.5, 0.9, -0.1
+#: A contact with fewer flat cells is too small to look flat. What looks flat elsewhere has at most this level.
+_SMALL_CELLS, _OUTSIDE = 4, -0.1
 #: Beyond this many standard deviations a cell tells nothing of the free membrane.
 _CUT: Final = 2.5
 
@@ -209,19 +209,40 @@ class _Rest:
                 "the membrane is flat in the untouched frame, so no pressure can be told from its curvature; inflate "
                 "it and capture the frame again"
             )
-        wanted = preset.pressure.noise * self.curvature_per_m
-        window = (self.bend_noise / wanted) ** (1 / 3) / self.cell_m
+        # twice the mean curvature has this standard deviation over the cube of the window's sigma
+        noise_m2 = math.sqrt(self.density_m4 / (2 * math.pi))
+        window = (noise_m2 / (preset.pressure.noise * self.curvature_per_m)) ** (1 / 3) / self.cell_m
         self.window = min(max(window, _WINDOWS[0]), _WINDOWS[1])
-        self.sigma_per_m = self.bend_noise / (self.window * self.cell_m) ** 3
-        self.shape: Shape = surface.fit(depth_m, share, self.window)
-        self.bulge_per_m = surface.curvature(self.shape, self.grid)[0]
+        self.sigma_per_m = noise_m2 / (self.window * self.cell_m) ** 3
+        narrow = surface.curvature(surface.fit(depth_m, share, self.window), self.grid)[0]
         #: By this the pressure is divided: in a wider window, lest noise of the untouched frame look like pressure.
-        self.usual_per_m = np.where(np.isfinite(wide), wide, self.bulge_per_m)
+        self.usual_per_m = np.where(np.isfinite(wide), wide, narrow)
+        usual_per_m = np.where(self.usual_per_m > 0.2 * self.curvature_per_m, self.usual_per_m, np.nan)
+        self.fine = _Scale(self.grid, (depth_m, share), self.window, usual_per_m, self.sigma_per_m)
+        grid, cells = surface.halved(self.grid), surface.halved_cells(depth_m, share)
+        self.wide = _Scale(grid, cells, self.window, usual_per_m[::2, ::2], self.sigma_per_m / 2**3)
 
-    @property
-    def bend_noise(self) -> float:
-        """Standard deviation of twice the mean curvature times the cube of the window's sigma, m^2."""
-        return math.sqrt(self.density_m4 / (2 * math.pi))
+
+class _Scale:
+    """The untouched membrane in windows of one size, sigma in cells."""
+
+    def __init__(self, grid: Grid, cells: Cells, window: float, usual_per_m: Float64Array, sigma: float) -> None:
+        from . import surface
+
+        self.grid, self.window, self.usual_per_m, self.sigma_per_m = grid, window, usual_per_m, sigma
+        self.shape: Shape = surface.fit(*cells, window)
+        self.bulge_per_m = surface.curvature(self.shape, grid)[0]
+
+    def compare(self, cells: Cells) -> tuple[Shape, Float64Array, Float64Array, Float64Array]:
+        """Return the present shape, twice its mean curvature, p / T against the untouched one, and its deviation."""
+        from . import surface
+
+        shape = surface.fit(*cells, self.window)
+        bulge_per_m, _, noise = surface.curvature(shape, self.grid)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = 1 + (bulge_per_m - self.bulge_per_m) / self.usual_per_m
+            sigma = math.sqrt(2) * self.sigma_per_m * noise / self.usual_per_m  # both frames have noise
+        return shape, bulge_per_m, ratio, sigma
 
 
 class _Now:
@@ -231,18 +252,14 @@ class _Now:
         from . import surface
 
         self._rest = rest
-        self._depth_m, self._share = surface.cells(frame.tactile_depth, rest.unit_m, rest.offset_m, rest.grid)
-        self._shape = surface.fit(self._depth_m, self._share, rest.window)
-        self.bulge_per_m = surface.curvature(self._shape, rest.grid)[0]
-        self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(self._depth_m, self._share, _FINE_WINDOW, curved=False))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            self._moved_m = rest.shape.fit[0] - self._shape.fit[0]
-            usual = np.where(rest.usual_per_m > 0.2 * rest.curvature_per_m, rest.usual_per_m, np.nan)
-            ratio = 1 + (self.bulge_per_m - rest.bulge_per_m) / usual
-            sigma = rest.sigma_per_m / usual * self._shape.growth
+        self._cells = surface.cells(frame.tactile_depth, rest.unit_m, rest.offset_m, rest.grid)
+        self._shape, self.bulge_per_m, ratio, sigma = rest.fine.compare(self._cells)
+        self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(*self._cells, _FINE_WINDOW, curved=False))
+        self._moved_m = rest.fine.shape.fit[0] - self._shape.fit[0]
         self.grown, self.relative, scatter = _against_free(ratio, sigma)
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
-        self._sigma = sigma * max(scatter, 1.0)
+        self._scatter = max(scatter, 1.0)
+        self._sigma = sigma * (self._scatter / self.grown if self.grown > 0 else math.nan)
         self._edge_window = rest.window
 
     def contact(self, section: PressureSection) -> Float64Array:
@@ -250,29 +267,56 @@ class _Now:
 
         Where a pressure exceeds the noise there is contact. Its edge is where the membrane stops being flat: free, it
         bulges in one direction at least, T1 k1 + T2 k2 = p, however unequal the tensions; on an object that is not
-        hollow it bulges in none. A contact too small to look flat ends where its pressure falls.
+        hollow it bulges in none. A contact too small to look flat is as large as its pressed cells, less those that a
+        window makes of a point.
         """
         import cv2
 
         with np.errstate(invalid="ignore", divide="ignore"):
-            noise = self._sigma / self.grown * self._shape.growth**_CUT_POWER
-            limit = np.maximum(section.limit, PRESSURE_SIGMAS * noise)
+            noise = self._sigma * self._shape.growth**_CUT_POWER
+            limit = np.maximum(section.limit, _LEAST_SIGMAS * noise)
             pressed = (self.relative > limit) & (self._moved_m > _MOVED_M)
+            if pressed.any():
+                sure = pressed & (self.relative > PRESSURE_SIGMAS * noise)
+                wide = self._in_wide_windows()
+                pressed = sure | (pressed & wide & ~_parts_with(wide | sure, sure))
             if not pressed.any():
                 return np.full(pressed.shape, -1.0)
             level = self._flatness() - section.share
-            flat = _parts_with((level > 0) & (self._moved_m > 0), pressed)
+            flat = _parts_with((level > 0) & (self._moved_m > 0), pressed, _SMALL_CELLS)
         inside = np.where(flat, level, np.fmin(level, _OUTSIDE))
         self._edge_window = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
-        count, labels = cv2.connectedComponents(pressed.view(np.uint8), connectivity=8)
+        reach = 2 * math.ceil(self._rest.window) + 1
+        small = pressed & (cv2.dilate(flat.view(np.uint8), np.ones((reach, reach), np.uint8)) == 0)
+        peaks = np.where(pressed, self.relative, 0.0)
+        small = _parts_with(small, small & (peaks >= cv2.dilate(peaks, np.ones((3, 3)))))
+        count, labels = cv2.connectedComponents(small.view(np.uint8), connectivity=8)
         for number in range(1, count):
+            self._edge_window = self._rest.window
             own = labels == number
-            if np.count_nonzero(own & flat) < _SMALL_CELLS:
-                self._edge_window = self._rest.window
-                edge = max(_SMALL_SHARE * float(np.quantile(self.relative[own], _QUANTILE)), float(limit[own].min()))
-                near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
-                inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
+            levels = np.append(np.sort(self.relative[own])[::-1], limit[own].min())
+            # the window alone would raise so many cells above the limit if all of the force pressed at a point
+            blurred = 2 * math.pi * self._rest.window**2 * math.log(levels[0] / max(levels[-1], 1e-3))
+            cells = len(levels) - 1
+            edge = levels[max(round(cells - blurred), min(_SMALL_CELLS, cells))]
+            near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+            inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
         return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
+
+    def _in_wide_windows(self) -> BoolArray:
+        """Return where the contact pressure exceeds the noise in windows of twice the size.
+
+        Noise falls with the third power of the window, the mean pressure of a small contact with the second: a gentle
+        touch stands out in the wide one.
+        """
+        import cv2
+
+        from . import surface
+
+        shape, _, ratio, sigma = self._rest.wide.compare(surface.halved_cells(*self._cells))
+        sigmas = (self.grown - ratio) / (sigma * self._scatter * shape.growth**_CUT_POWER)
+        height, width = self.relative.shape
+        return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2))[:height, :width] > PRESSURE_SIGMAS
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""
@@ -326,7 +370,7 @@ class _Now:
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
         return PressureFacts(
             **images,
-            relative_sigma=median(self._sigma[::2, ::2]) / self.grown if self.grown > 0 else math.nan,
+            relative_sigma=median(self._sigma[::2, ::2]),
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
             inflation_pa=section.gauge_pa,
@@ -368,11 +412,11 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
     return grown, 1 - ratio / grown if grown > 0 else nothing, scatter
 
 
-def _parts_with(cells: BoolArray, seeds: BoolArray) -> BoolArray:
-    """Return the connected parts of some cells that hold a seed."""
+def _parts_with(cells: BoolArray, seeds: BoolArray, smallest: int = 1) -> BoolArray:
+    """Return the connected parts of some cells, of a smallest number, that hold a seed."""
     import cv2
 
     labels = np.asarray(cv2.connectedComponents(cells.view(np.uint8), connectivity=8)[1])
     chosen = np.zeros(int(labels.max()) + 1, np.bool_)
     chosen[labels[seeds & cells]] = True
-    return np.asarray(chosen[labels])
+    return np.asarray((chosen & (np.bincount(labels.ravel()) >= smallest))[labels])
