@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QRect, Qt
-from PyQt6.QtGui import QPalette
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFrame, QPushButton, QToolButton, QVBoxLayout, QWidget
 
@@ -13,11 +12,9 @@ from hands import LEFT, shown
 from tactune.core.model.patch import Provenance
 from tactune.widgets.basics import colormaps
 from tactune.widgets.basics import messages as module
-from tactune.widgets.basics.controls import NoteLabel
 from tactune.widgets.basics.messages import Messages, Severity
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import theme_colors
-from tactune.widgets.images.image_pane import ImagePane
 
 NAMES = ("light", "dark")
 
@@ -28,16 +25,6 @@ NAMES = ("light", "dark")
 def test_fields_grooves_and_the_focus_are_seen(name, background, line):
     colors = theme_colors(name)
     assert contrast_ratio(getattr(colors, line), getattr(colors, background)) >= 3.0
-
-
-def test_an_image_has_the_window_s_background_after_a_change_of_theme(qapp, qtbot):
-    pane = ImagePane("Colour")
-    qtbot.addWidget(pane)
-    pane.show()
-    for name in (*NAMES, NAMES[0]):
-        apply_theme(qapp, name)
-        qapp.processEvents()
-        assert pane.view.grab().toImage().pixelColor(2, 2).name() == theme_colors().window
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -77,20 +64,6 @@ def test_a_ring_shows_where_the_keyboard_acts(qapp, qtbot, name):
     qtbot.keyClick(two, Qt.Key.Key_Backtab)
     qtbot.waitUntil(lambda: edges() == {colors.window})
     apply_theme(qapp, "light")
-
-
-def test_a_note_is_in_the_colour_of_errors_for_errors_only(qapp, qtbot):
-    apply_theme(qapp, "light")
-    note = NoteLabel()
-    qtbot.addWidget(note)
-    usual = note.palette().color(QPalette.ColorRole.WindowText).name()
-    note.say("No press stands out of the noise.", error=True)
-    for name in ("dark", "light"):
-        apply_theme(qapp, name)
-        qapp.processEvents()
-        assert note.palette().color(QPalette.ColorRole.WindowText).name() == theme_colors(name).error
-    note.say("Applied.")
-    assert note.palette().color(QPalette.ColorRole.WindowText).name() == usual
 
 
 @pytest.fixture
