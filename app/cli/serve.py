@@ -13,7 +13,6 @@ from ...core.errors import counted
 from ...core.output.connections import MAX_CLIENTS
 from .common import (
     SOURCE,
-    CliProgress,
     FrameCount,
     PresetOption,
     SourceOption,
@@ -91,24 +90,22 @@ def serve(
     foxglove |= not ros2
     source = with_topics(source, topics)
     chosen, origin = chosen_preset(preset, source)
+    shape = None if mesh is None else read_mesh(mesh, unit)
     connections = Connections(foxglove, ros2, host, port, domain, namespace, clients, tuple(origins or ()))
     with (
         Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start
-        open_with_progress(source, chosen) as opened,
+        open_with_progress(source, chosen, compiles=True) as opened,
     ):
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
         from ...core.model.patch import Lazy
         from ...core.sources.capture.live import LiveLoop
-        from ...core.warmup import warm_up_if_needed
 
         playing = opened if opened.length is None else LiveLoop(opened)
         tilt, poses, count = make_tilt(estimate, chosen, playing.rig), None, 0
-        if mesh is not None:
+        if shape is not None:
             from ...core.estimation.pose import PoseTracker
 
-            poses = _Poses(PoseTracker(read_mesh(mesh, unit), chosen, playing.rig), publisher)
-        with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing, chosen)
+            poses = _Poses(PoseTracker(shape, chosen, playing.rig), publisher)
         with stop_on_signals() as stopped:
             for output in publisher.status():
                 say(f"{output.sink.name}: {output.sink.place}")

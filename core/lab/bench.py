@@ -127,7 +127,6 @@ def _counts(depth_m: Float64Array, unit_m: float) -> Uint16Array:
     return np.clip(np.rint(depth_m / unit_m), 1, 65534).astype(np.uint16)
 
 
-#: All scenes.
 SCENES: Final[dict[str, Callable[[], BenchScene]]] = {
     "empty": lambda: synthetic_scene(0),  # nothing within 25 mm of the membrane
     "cup-medium": lambda: _simulated("cup", _MEDIUM_M),

@@ -118,6 +118,8 @@ def field_sentence(detail: Any, what: str) -> str:
         return f"{where} is missing; add it"
     if detail["type"] == "extra_forbidden":
         return f"{where} is no field of {what}; remove or correct it"
+    if detail["type"] == "json_invalid":  # of what Python's parser could read
+        return f"{where} holds a text that is no valid Unicode, or is nested too deep; correct it"
     found, why = foreign(reprlib.repr(detail["input"]), 80), detail["msg"].removeprefix("Value error, ")
     why = why.replace("Input should", "it should").replace("a valid boolean", "true or false")
     return f"{where} is {found}: {why}; correct it"

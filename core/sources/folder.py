@@ -10,7 +10,6 @@ membrane. A frame is::
     tactile_color.png     8 bit, colour, aligned to the tactile depth image        (optional)
     truth_contact.png     8 bit, 0 or 255, proximity pixels                        (optional)
     truth_depth.npy       float32 metres, proximity pixels, nan where unknown      (optional)
-    truth_depth.png       the same in 16 bit and counts, 0 where unknown           (only read)
     frame.json            sequence, proximity_time_s, tactile_time_s               (optional)
 
 Depth may also be ``.tif``, ``.npy`` or ``.pgm``, colour ``.jpg``; `folder_layout` names the layouts of others. A camera
@@ -320,8 +319,7 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
         depth = read_image(metres)
         if depth.dtype != np.float32 or depth.shape != shape:
             raise SourceError(
-                f"{metres} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again in that "
-                "form"
+                f"{metres} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again"
             )
     if not np.isin(mask, (0, 255)).all():
         raise SourceError(f"{contact} contains other values than 0 and 255; write it again")

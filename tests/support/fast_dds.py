@@ -66,11 +66,6 @@ class FastDds:
         with self._arrived:
             assert self._arrived.wait_for(is_done, WAIT_S), self.counts
 
-    def wait_for_more(self, topic: str, count: int = 3) -> None:
-        """Wait for further messages of a topic."""
-        seen = self.counts[topic]
-        self.wait_for(lambda: self.counts[topic] >= seen + count)
-
     def decoded(self, topic: str) -> Any:
         """Return the latest message, decoded by the ROS 2 decoder of MCAP."""
         return decoded(LIVE_TOPICS[topic], self.latest[topic])

@@ -96,6 +96,7 @@ def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
         ('{"schema": "tactune.preset", "schema_version": 1, "toleranc": {}}', "toleranc is no field.*tolerance"),
         ('{"schema": "tactune.preset", "schema_version": 1, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is no"),
         ("[" * 100_000, "JSON"),
+        ('{"schema": "tactune.preset", "schema_version": 1, "notes": "\\ud800"}', "Unicode"),
         (json.dumps({"schema": "tactune.preset", "schema_version": 1} | {f"x{i}": 0 for i in range(99)}), "92 more"),
     ],
 )
