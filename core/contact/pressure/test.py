@@ -298,7 +298,7 @@ class _Now:
             # the window alone would raise so many cells above the limit if all of the force pressed at a point
             blurred = 2 * math.pi * self._rest.window**2 * math.log(levels[0] / max(levels[-1], 1e-3))
             cells = len(levels) - 1
-            edge = levels[max(round(cells - blurred), min(_SMALL_CELLS, cells))]
+            edge = levels[min(max(round(cells - blurred), _SMALL_CELLS), cells)]
             near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
             inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
         return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
