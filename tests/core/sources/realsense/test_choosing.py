@@ -5,7 +5,7 @@ import itertools
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tactune.core.errors import MissingExtraError, SourceError
@@ -130,6 +130,7 @@ def nearest(time_s, stream):
     second=jitters,
     delays=st.lists(st.floats(0, 0.01), min_size=1, max_size=5),
 )
+@example(phase=0.45, first=[0.0, -0.3], second=[0.0], delays=[0.0])  # the nearer one comes later
 def test_everybody_gets_the_nearest(phase, first, second, delays):
     ones = [START_S + (index + share) * PERIOD_S for index, share in enumerate(first)]
     others = [START_S + (index + phase + share) * PERIOD_S for index, share in enumerate(second)]
