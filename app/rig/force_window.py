@@ -13,7 +13,7 @@ from ...widgets.basics.record_table import Column, RecordTable
 from ..context import Context
 
 _PROMPT = (
-    "Press an object in the middle of the membrane against a scale, and hold still. Type what the scale reads; it was "
+    "Press an object in the centre of the membrane against a scale, and hold still. Type what the scale reads; it was "
     "at zero before. One firm press is enough; more show how well the forces agree."
 )
 _COLUMNS = (

@@ -45,7 +45,7 @@ class Press(NamedTuple):
             )
         if not facts.agrees:
             raise CalibrationError(
-                f"force and pressure disagree in frame {frame}; press in the middle, away from rim and missing depth"
+                f"force and pressure disagree in frame {frame}; press in the centre, away from rim and missing depth"
             )
         if not _FORCES_N[0] <= force_n <= _FORCES_N[1]:
             raise CalibrationError(f"the force is {force_n:g} N; give what the scale reads while the object presses")
