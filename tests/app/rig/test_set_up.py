@@ -83,6 +83,21 @@ def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up):
     assert "captured during a press" in set_up.bias.work.sentence.text()
 
 
+def test_only_a_press_that_is_held_still_is_worked_on(qtbot, set_up):
+    show_source(qtbot, set_up.window_, FakeSource(), 0)
+    step, free = set_up.bias.work, tiny_frame(0, tiny_rig())
+    step.info = set_up.window_.result.source
+    step.prepared(free)
+
+    def share(moves_m):
+        unit_m = tiny_rig().tactile.depth_unit_m
+        depths = (free.tactile_depth - np.uint16((0.01 + number * moves_m) / unit_m) for number in range(8))
+        return step.share([step.keep(replace(free, tactile_depth=depth)) for depth in depths])
+
+    assert share(0.0) == 1.0
+    assert share(0.001) < 0.5
+
+
 def failed(panel):
     """The row at which the run has stopped."""
     [row] = [row for row in panel.rows if row.mark.text() == "!"]
