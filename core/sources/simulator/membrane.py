@@ -24,8 +24,9 @@ import numpy as np
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 from .objects import NO_OBJECT, allocating, compiled, distance, normal, to_surface
 
-#: A mesh with fewer columns tears in deep presses.
-_FEWEST_COLUMNS: Final = 56
+#: A mesh with fewer columns tears in deep presses. One with at least the second number is inflated from a coarser one;
+#: smaller ones, of which shipped scenes are made, are not, and keep their bits.
+_FEWEST_COLUMNS, _REFINED_COLUMNS = 56, 224
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
 _FOLDS: Final = 18
 _FOLD_INNER_M: Final = 0.018
@@ -461,7 +462,7 @@ class Membrane:
     def _inflate(self) -> MembraneState:
         """Find the amount of air, in p V, that lifts the apex to the design's height, by the secant rule."""
         design = self.design
-        if self.coarse is not None:
+        if self.coarse is not None and design.cells[0] >= _REFINED_COLUMNS:
             nodes = self.interpolated(self.coarse, self.coarse.rest.nodes)
             amounts = [self.coarse._gas_joule, 1.0001 * self.coarse._gas_joule]
         else:
