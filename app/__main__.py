@@ -15,6 +15,13 @@ def main() -> int:
         return run()
     except KeyboardInterrupt:
         return 130
+    except SystemError as error:
+        cause: BaseException | None = error
+        while isinstance(cause, SystemError):  # so numba wraps Ctrl+C while a kernel runs
+            cause = cause.__cause__
+        if not isinstance(cause, KeyboardInterrupt):
+            raise
+        return 130
 
 
 if __name__ == "__main__":

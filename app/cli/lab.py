@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import urlencode
 
 import typer
 
@@ -123,7 +124,7 @@ def faults(
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.scenes import read_name
 
-    read_name(f"?sensor={sensor}")  # refuses an unknown sensor
+    read_name("?" + urlencode({"sensor": sensor}))  # refuses an unknown sensor
     preset = load_preset("simulator").with_values(parse_settings(settings))
     outcomes: list[Outcome] = []
     for fault in try_faults(preset, sensor, held_out=held_out):

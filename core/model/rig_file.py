@@ -122,4 +122,4 @@ def field_sentence(detail: Any, what: str) -> str:
         return f"{where} holds a text that is no valid Unicode, or is nested too deep; correct it"
     found, why = foreign(reprlib.repr(detail["input"]), 80), detail["msg"].removeprefix("Value error, ")
     why = why.replace("Input should", "it should").replace("a valid boolean", "true or false")
-    return f"{where} is {found}: {why}; correct it"
+    return f"{where} is {found}: {why}{'' if ';' in why else '; correct it'}"

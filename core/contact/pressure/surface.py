@@ -25,7 +25,6 @@ _STEEPEST, _SURFACE_SHARE = 3.0, 0.05
 #: Smallest share of a window that must be seen for a curvature, and for a depth.
 _WINDOW_SHARE, _DEPTH_SHARE = 0.6, 0.3
 
-
 #: Mean depth of the cells, metres, and the share of their pixels with depth.
 Cells = tuple[Float64Array, Float64Array]
 

@@ -174,20 +174,21 @@ class _Rest:
 
     def __init__(self, pixels: Pixels, preset: Preset) -> None:
         from ..alignment import tactile_pose  # loads kernels
+        from ..kernels.quadric import CELL_PX
         from . import surface
 
         assert pixels.untouched is not None
         lens, tables, counts = pixels.rig.tactile.intrinsics, pixels.alignment.tables, pixels.untouched.tactile_depth
         self.unit_m, self.offset_m = float(tables.tactile_unit_m), float(preset.alignment.depth_offset_m)
         self.turn = np.eye(3) if not pixels.rig.has_proximity else tactile_pose(preset.alignment, pixels.rig)[:3, :3]
-        seen = valid_depth(counts).any()
+        seen = min(counts.shape) >= CELL_PX and valid_depth(counts).any()
         if seen:
             self.grid: Grid = surface.Grid.of(lens, counts)
             depth_m, share = surface.cells(counts, self.unit_m, self.offset_m, self.grid)
             seen = (share > 0).any()
         if not seen:
             raise RigMismatchError(
-                "the untouched frame has no tactile depth, so the contact test pressure has nothing to compare with; "
+                "the untouched frame has too little tactile depth for the contact test pressure to compare with; "
                 "capture it again"
             )
         distance_m = float(np.median(depth_m[share > 0]))

@@ -35,6 +35,7 @@ REFUSED = [
     ("run --source IN --json --set tolerance.tt=1", "did you mean tolerance.t"),
     ("run --source IN --json --preset=", "Is a directory"),
     ("lab strain --source IN --csv OUT", "no ordinary file"),
+    ("lab faults --sensor clean&press=low", "sensor is 'clean&press=low'"),
     ("run --source IN --watch", "no untouched frame"),
     ("check --source IN --preset default", "no untouched frame"),
     ("convert IN IN", "recording"),

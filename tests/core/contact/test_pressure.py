@@ -269,12 +269,13 @@ def test_a_press_at_the_rim_is_doubted(pressed):
     assert not len(patch.points) or "at the rim" in patch.doubt.reasons
 
 
-def test_an_untouched_membrane_that_is_flat_is_refused():
-    rig = Rig.of_one_camera(simulator_rig().tactile)
-    now = bubble(rig, 0.2)
-    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full_like(now.tactile_depth, 3000), None, 0.0))
-    with pytest.raises(RigMismatchError, match="flat"):
-        ContactPipeline(PRESSURE, rig, flat).process(now)
+@pytest.mark.parametrize(("side_px", "found"), [(400, "flat"), (7, "too little tactile depth")])
+def test_an_untouched_membrane_that_is_flat_or_smaller_than_a_cell_is_refused(side_px, found):
+    lens = simulator_rig().tactile.intrinsics.model_copy(update={"width": side_px, "height": side_px})
+    rig = Rig.of_one_camera(simulator_rig().tactile.model_copy(update={"intrinsics": lens}))
+    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full(lens.shape, 3000, np.uint16), None, 0.0))
+    with pytest.raises(RigMismatchError, match=found):
+        ContactPipeline(PRESSURE, rig, flat).process(flat)
 
 
 @pytest.mark.parametrize("kind", ["folder", "recording"])
