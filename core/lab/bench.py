@@ -51,8 +51,8 @@ _CPU_FACTS: Final = Path("/proc/cpuinfo")
 
 # The frames that engines are measured on: simulated presses, and synthetic contacts of a given size
 
-#: Depth of a simulated press, metres past first touch.
-_MEDIUM_M: Final = 0.024
+#: Depths of the simulated presses, metres past first touch.
+LIGHT_M, MEDIUM_M = 0.003, 0.024
 
 #: Engines are variants of this contact test.
 _TEST: Final = {"contact_test": "tolerance"}
@@ -94,6 +94,8 @@ def synthetic_scene(points: int, noise_m: float = 0.001) -> BenchScene:
     membrane = _depth_of_paraboloid(camera, np.eye(4))
     v, u = np.indices(camera.shape)
     contact = np.hypot(u - camera.cx, v - camera.cy) <= np.sqrt(points / np.pi)
+    if points >= contact.size:
+        contact[:] = True
     seen = np.where(contact, membrane, membrane + 0.025) + random.normal(0, noise_m, membrane.shape)
     tactile = _depth_of_paraboloid(rig.tactile.intrinsics, np.asarray(rig.T_proximity_tactile))
     tactile = tactile + random.normal(0, noise_m / 3, tactile.shape)
@@ -127,11 +129,15 @@ def _counts(depth_m: Float64Array, unit_m: float) -> Uint16Array:
     return np.clip(np.rint(depth_m / unit_m), 1, 65534).astype(np.uint16)
 
 
+#: All scenes, from no contact to full contact.
 SCENES: Final[dict[str, Callable[[], BenchScene]]] = {
     "empty": lambda: synthetic_scene(0),  # nothing within 25 mm of the membrane
-    "cup-medium": lambda: _simulated("cup", _MEDIUM_M),
+    "untouched": lambda: _simulated("cup", -math.inf),  # before the first touch, with reflecting prints
+    "light-touch": lambda: _simulated("cup", LIGHT_M),
+    "cup-medium": lambda: _simulated("cup", MEDIUM_M),
     "octopus-high": lambda: _simulated("octopus", math.inf),
     "noisy-51k": lambda: synthetic_scene(51_000, noise_m=0.002),
+    "full-contact": lambda: synthetic_scene(640 * 480),
 }
 
 

@@ -215,34 +215,36 @@ class _Rest:
         window = (noise_m2 / (preset.pressure.noise * self.curvature_per_m)) ** (1 / 3) / self.cell_m
         self.window = min(max(window, _WINDOWS[0]), _WINDOWS[1])
         self.sigma_per_m = noise_m2 / (self.window * self.cell_m) ** 3
-        narrow = surface.curvature(surface.fit(depth_m, share, self.window), self.grid)[0]
-        #: By this the pressure is divided: in a wider window, lest noise of the untouched frame look like pressure.
-        self.usual_per_m = np.where(np.isfinite(wide), wide, narrow)
-        usual_per_m = np.where(self.usual_per_m > 0.2 * self.curvature_per_m, self.usual_per_m, np.nan)
-        self.fine = _Scale(self.grid, (depth_m, share), self.window, usual_per_m, self.sigma_per_m)
+        self.fine = _Scale(self.grid, (depth_m, share), self.window, self.sigma_per_m)
         grid, cells = surface.halved(self.grid), surface.halved_cells(depth_m, share)
-        self.wide = _Scale(grid, cells, self.window, usual_per_m[::2, ::2], self.sigma_per_m / 2**3)
+        self.wide = _Scale(grid, cells, self.window, self.sigma_per_m / 2**3)
+        #: By these the pressure is divided, the second without what hardly bulges: in a still wider window, lest noise
+        #: of the untouched frame look like pressure.
+        self.usual_per_m = np.where(np.isfinite(wide), wide, self.fine.bulge_per_m)
+        self.bulging_per_m = np.where(self.usual_per_m > 0.2 * self.curvature_per_m, self.usual_per_m, np.nan)
 
 
 class _Scale:
     """The untouched membrane in windows of one size, sigma in cells."""
 
-    def __init__(self, grid: Grid, cells: Cells, window: float, usual_per_m: Float64Array, sigma: float) -> None:
+    def __init__(self, grid: Grid, cells: Cells, window: float, sigma_per_m: float) -> None:
         from . import surface
 
-        self.grid, self.window, self.usual_per_m, self.sigma_per_m = grid, window, usual_per_m, sigma
+        self.grid, self.window, self.sigma_per_m = grid, window, sigma_per_m
         self.shape: Shape = surface.fit(*cells, window)
         self.bulge_per_m = surface.curvature(self.shape, grid)[0]
 
-    def compare(self, cells: Cells) -> tuple[Shape, Float64Array, Float64Array, Float64Array]:
+    def compare(
+        self, cells: Cells, usual_per_m: Float64Array
+    ) -> tuple[Shape, Float64Array, Float64Array, Float64Array]:
         """Return the present shape, twice its mean curvature, p / T against the untouched one, and its deviation."""
         from . import surface
 
         shape = surface.fit(*cells, self.window)
         bulge_per_m, _, noise = surface.curvature(shape, self.grid)
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = 1 + (bulge_per_m - self.bulge_per_m) / self.usual_per_m
-            sigma = math.sqrt(2) * self.sigma_per_m * noise / self.usual_per_m  # both frames have noise
+            ratio = 1 + (bulge_per_m - self.bulge_per_m) / usual_per_m
+            sigma = math.sqrt(2) * self.sigma_per_m * noise / usual_per_m  # both frames have noise
         return shape, bulge_per_m, ratio, sigma
 
 
@@ -254,7 +256,7 @@ class _Now:
 
         self._rest = rest
         self._cells = surface.cells(frame.tactile_depth, rest.unit_m, rest.offset_m, rest.grid)
-        self._shape, self.bulge_per_m, ratio, sigma = rest.fine.compare(self._cells)
+        self._shape, self.bulge_per_m, ratio, sigma = rest.fine.compare(self._cells, rest.bulging_per_m)
         self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(*self._cells, _FINE_WINDOW, curved=False))
         self._moved_m = rest.fine.shape.fit[0] - self._shape.fit[0]
         self.grown, self.relative, scatter = _against_free(ratio, sigma)
@@ -296,7 +298,7 @@ class _Now:
             self._edge_window = self._rest.window
             own = labels == number
             levels = np.append(np.sort(self.relative[own])[::-1], limit[own].min())
-            # the window alone would raise so many cells above the limit if all of the force pressed at a point
+            # number of cells that the window alone raises above the limit where the whole force presses at one point
             blurred = 2 * math.pi * self._rest.window**2 * math.log(levels[0] / max(levels[-1], 1e-3))
             cells = len(levels) - 1
             edge = levels[min(max(round(cells - blurred), _SMALL_CELLS), cells)]
@@ -314,7 +316,8 @@ class _Now:
 
         from . import surface
 
-        shape, _, ratio, sigma = self._rest.wide.compare(surface.halved_cells(*self._cells))
+        rest, cells = self._rest, surface.halved_cells(*self._cells)
+        shape, _, ratio, sigma = rest.wide.compare(cells, rest.bulging_per_m[::2, ::2])
         sigmas = (self.grown - ratio) / (sigma * self._scatter * shape.growth**_CUT_POWER)
         height, width = self.relative.shape
         return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2))[:height, :width] > PRESSURE_SIGMAS

@@ -16,6 +16,7 @@ away from the cameras.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -24,8 +25,8 @@ import numpy as np
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 from .objects import NO_OBJECT, allocating, compiled, distance, normal, to_surface
 
-#: A mesh with fewer columns tears in deep presses. One with at least the second number is inflated from a coarser one;
-#: smaller ones, of which shipped scenes are made, are not, and keep their bits.
+#: A mesh with fewer columns tears in deep presses. From the second number on, a mesh is inflated from a coarser one.
+#: Shipped scenes have smaller meshes, which are inflated by themselves: a test compares their bits with the solver's.
 _FEWEST_COLUMNS, _REFINED_COLUMNS = 56, 224
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
 _FOLDS: Final = 18
@@ -397,13 +398,16 @@ class Membrane:
         self.mesh = build_mesh(self.design)
         self.tolerance = tolerance
         self._direction = np.random.default_rng(0).standard_normal(self.mesh.flat.shape) * self.mesh.free[:, None]
-        #: The same membrane on a mesh half as fine, for first guesses; None where that would be too coarse.
-        self.coarse: Membrane | None = None
-        columns, rows = self.design.cells
-        if columns >= 2 * _FEWEST_COLUMNS:
-            self.coarse = Membrane(replace(self.design, cells=(columns // 4 * 2, rows // 4 * 2)), tolerance)
         self._gas_joule = 0.0  # p V, found next
         self.rest = self._inflate()
+
+    @cached_property
+    def coarse(self) -> Membrane | None:
+        """The same membrane on a mesh half as fine, for first guesses; None where that would be too coarse."""
+        columns, rows = self.design.cells
+        if columns < 2 * _FEWEST_COLUMNS:
+            return None
+        return Membrane(replace(self.design, cells=(columns // 4 * 2, rows // 4 * 2)), self.tolerance)
 
     def press(
         self,
@@ -462,7 +466,7 @@ class Membrane:
     def _inflate(self) -> MembraneState:
         """Find the amount of air, in p V, that lifts the apex to the design's height, by the secant rule."""
         design = self.design
-        if self.coarse is not None and design.cells[0] >= _REFINED_COLUMNS:
+        if design.cells[0] >= _REFINED_COLUMNS and self.coarse is not None:
             nodes = self.interpolated(self.coarse, self.coarse.rest.nodes)
             amounts = [self.coarse._gas_joule, 1.0001 * self.coarse._gas_joule]
         else:
