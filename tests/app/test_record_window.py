@@ -72,6 +72,7 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     assert window.actions_.record.isChecked()
     assert window.recording.isVisible()
     cameras.give(qtbot, 40)
+    qtbot.waitUntil(lambda: window.worker.recorder.status().frames == 40)
     end(window, qtbot)
     assert not window.recording.isVisible()
     assert not window.actions_.record.isChecked()
