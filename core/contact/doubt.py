@@ -209,10 +209,8 @@ def _dent_evidence(
 
 def _pressure_evidence(contact: Candidates, facts: PressureFacts, dent: float) -> tuple[float, tuple[str, ...]]:
     """Return what the pressure in a contact adds to the evidence of its dent, and reasons for doubt."""
-    values = facts.relative.get().reshape(-1)[contact.pixels]
-    values = values[np.isfinite(values)]
-    sigmas = float(values.max()) / facts.relative_sigma if len(values) and facts.relative_sigma > 0 else 0.0
-    evidence, reasons = min(sigmas - _SURE_SIGMAS, 0.0), []
+    sigmas = np.nan_to_num(facts.sigmas_at(contact.pixels))
+    evidence, reasons = min(float(sigmas.max()) - _SURE_SIGMAS, 0.0), []
     if evidence < _MISSING:
         reasons.append("pressure hardly above the noise")
     # a dent in the same noise confirms nothing

@@ -13,7 +13,7 @@ Assumed: the same tension in all directions, no bending stiffness, no friction.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from ..pixels import Pixels
     from .surface import Cells, Grid, Shape
 
-#: Contact pressure exceeds its noise by this many standard deviations in one of two windows, by the second number in
-#: the finer one, and the membrane has moved by more than the third, metres.
+#: Contact pressure exceeds its noise by this many standard deviations in the wider of two windows, by the second number
+#: in the finer one, and the membrane has moved by more than the third, metres.
 PRESSURE_SIGMAS, _LEAST_SIGMAS, _MOVED_M = 3.5, 2.0, 0.0007
 #: Window of the curvature, cells: smallest and largest; that of the slopes and of the edge of contact.
 _WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.3
@@ -115,8 +115,10 @@ class PressureTest(ContactTest):
             large = in_large_cluster(pressed.points[:, 2], pressed.pixels, camera, min_mm2)
             self._contact, self._kept = keep(pressed, large), self._places[large]
         if due("force"):
-            touching = _parts_with(self._touching, self._cells_at(self._kept))
-            self._facts = now.facts(touching, preset, self._images(now.relative, self._contact, frame))
+            held = np.zeros_like(self._touching)
+            held[self._cells_of(self._kept)] = True
+            touching = _parts_with(self._touching, held)
+            self._facts = now.facts(touching, preset, self._values(now, self._contact, frame))
         groups = self._inside, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
@@ -126,21 +128,22 @@ class PressureTest(ContactTest):
         levels = self._rest.grid.to_image(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape, -1.0)
         return np.asarray(levels.reshape(-1)[places] > 0)
 
-    def _cells_at(self, places: IndexArray) -> BoolArray:
-        """Return the cells that hold one of these flat tactile pixels."""
+    def _cells_of(self, places: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """Return row and column of the cells that hold flat tactile pixels."""
         assert self._rest is not None
-        held = np.zeros(self._touching.shape, np.bool_)
-        held[self._rest.grid.cells_of(places, self.pixels.rig.tactile.intrinsics.width)] = True
-        return held
+        return self._rest.grid.cells_of(places, self.pixels.rig.tactile.intrinsics.width)
 
-    def _images(self, cells: Float64Array, contact: Candidates, frame: SensorFrame) -> dict[str, Lazy[Float32Array]]:
+    def _values(self, now: _Now, contact: Candidates, frame: SensorFrame) -> dict[str, Any]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
         assert self._rest is not None
-        rig, grid = self.pixels.rig, self._rest.grid
-        on_membrane = Lazy(lambda: grid.to_image(cells.astype(np.float32), rig.tactile.intrinsics.shape, math.nan))
+        rig, grid, relative = self.pixels.rig, self._rest.grid, now.relative.astype(np.float32)
+        on_membrane = Lazy(lambda: grid.to_image(relative, rig.tactile.intrinsics.shape, math.nan))
 
         def at(pixels: IndexArray) -> Float32Array:
             return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
+
+        def sigmas_at(pixels: IndexArray) -> Float64Array:
+            return now.sigmas[self._cells_of(self.pixels.tactile_pixels(pixels, frame))]
 
         def image() -> Float32Array:
             if not rig.has_proximity:
@@ -150,7 +153,8 @@ class PressureTest(ContactTest):
             found.reshape(-1)[known] = at(known)
             return found
 
-        return {"relative": Lazy(image), "on_membrane": on_membrane, "at_points": Lazy(lambda: at(contact.pixels))}
+        at_points = Lazy(lambda: at(contact.pixels))
+        return {"relative": Lazy(image), "on_membrane": on_membrane, "at_points": at_points, "sigmas_at": sigmas_at}
 
     def _provenance(
         self, frame: SensorFrame, cells: Float64Array, seen: Candidates, pressed: Candidates, contact: Candidates
@@ -279,10 +283,13 @@ class _Now:
             noise = self._sigma * self._shape.growth**_CUT_POWER
             limit = np.maximum(section.limit, _LEAST_SIGMAS * noise)
             pressed = (self.relative > limit) & (self._moved_m > _MOVED_M)
+            self.sigmas = self.relative / noise
             if pressed.any():
-                sure = pressed & (self.relative > PRESSURE_SIGMAS * noise)
-                wide = self._in_wide_windows()
+                in_wide = self._sigmas_in_wide_windows()
+                wide = in_wide > PRESSURE_SIGMAS
+                sure = pressed & (self.sigmas > PRESSURE_SIGMAS) & (wide | np.isnan(in_wide))
                 pressed = sure | (pressed & wide & ~_parts_with(wide | sure, sure))
+                self.sigmas = np.fmax(self.sigmas, in_wide)
             if not pressed.any():
                 return np.full(pressed.shape, -1.0)
             level = self._flatness() - section.share
@@ -306,11 +313,11 @@ class _Now:
             inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
         return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
 
-    def _in_wide_windows(self) -> BoolArray:
-        """Return where the contact pressure exceeds the noise in windows of twice the size.
+    def _sigmas_in_wide_windows(self) -> Float64Array:
+        """Return the contact pressure over its noise in windows of twice the size.
 
-        Noise falls with the third power of the window, the mean pressure of a small contact with the second: a gentle
-        touch stands out in the wide one.
+        Noise falls with the third power of the window, the mean pressure of a small contact with the second: contact
+        stands out more in the wide one, and what does not is noise.
         """
         import cv2
 
@@ -320,7 +327,7 @@ class _Now:
         shape, _, ratio, sigma = rest.wide.compare(cells, rest.bulging_per_m[::2, ::2])
         sigmas = (self.grown - ratio) / (sigma * self._scatter * shape.growth**_CUT_POWER)
         height, width = self.relative.shape
-        return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2))[:height, :width] > PRESSURE_SIGMAS
+        return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2))[:height, :width]
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""
@@ -336,7 +343,7 @@ class _Now:
         both = cv2.GaussianBlur(both, size, _EDGE_WINDOW, borderType=cv2.BORDER_CONSTANT)
         return np.where(known, both[..., 0] / np.maximum(both[..., 1], 1e-9), np.nan)
 
-    def facts(self, touching: BoolArray, preset: Preset, images: dict[str, Lazy[Float32Array]]) -> PressureFacts:
+    def facts(self, touching: BoolArray, preset: Preset, values: dict[str, Any]) -> PressureFacts:
         """Return map and force, that of all contacts together, in the proximity depth frame."""
         import cv2
 
@@ -373,7 +380,7 @@ class _Now:
             agrees = not np.linalg.norm(force - by_area) >= _APART_SIGMAS * np.linalg.norm(sigma)
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
         return PressureFacts(
-            **images,
+            **values,
             relative_sigma=median(self._sigma[::2, ::2]),
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),

@@ -22,6 +22,7 @@ WAIT_S = 60
 TURN = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
 FORCE = PressureFacts(
     *(Lazy(lambda: np.zeros((1, 1), np.float32)),) * 3,
+    lambda pixels: np.zeros(len(pixels)),
     0.1,
     (100.0, 0.0, -2000.0),
     (1.0, 1.0, 20.0),
