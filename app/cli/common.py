@@ -42,8 +42,8 @@ SourceOption = Annotated[
         "--source",
         "-s",
         metavar="SOURCE",
-        help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), cameras:, realsense:, "
-        "ros2:, live:SOURCE, folder:PATH, bag:PATH, mcap:PATH, or a path.",
+        help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), cameras:, ros2:, "
+        "live:SOURCE, folder:PATH, bag:PATH, mcap:PATH, or a path.",
     ),
 ]
 TopicsOption = Annotated[

@@ -147,7 +147,8 @@ def strain(
     source: SourceOption = "sim:cup?grid=dots",
     preset: PresetOption = None,
     spacing_mm: Annotated[
-        float, typer.Option("--spacing-mm", metavar="MM", help="Distance between neighbouring dots on the flat sheet.")
+        float,
+        typer.Option("--spacing-mm", min=1, max=100, metavar="MM", help="Distance between dots on the flat sheet."),
     ] = 10.0,
     frames: FrameCount = None,
     average: Annotated[
@@ -157,27 +158,22 @@ def strain(
 ) -> None:
     """Measure membrane strain from a printed grid of dots.
 
-    The displacement is relative to the untouched frame of the preset or the source, else to the first frame. On the
-    simulator the solver's strain is shown beside: between dots that the camera sees, and between all.
+    On the simulator the solver's strain is shown beside: between dots that the camera sees, and between all.
     """
-    from ...core.lab.strain import StrainError, average_still, check_spacing, indentation_m, measure_strain
-    from ...core.rig.untouched import kept_untouched
+    from ...core.lab.strain import StrainError, average_still, measure_strain
 
     check_writable(csv_file)
-    check_spacing(spacing_mm / 1e3)
-    chosen, origin = chosen_preset(preset, source)
+    chosen, _ = chosen_preset(preset, source)
     records: list[Record] = []
     latest: deque[SensorFrame] = deque(maxlen=average)
     with open_with_progress(source, chosen) as opened, CliProgress() as progress:
-        total, untouched = number_of_frames(opened, frames), usable(kept_untouched(chosen, origin, opened))
+        total = number_of_frames(opened, frames)
         for frame in itertools.islice(opened, total):
-            untouched = untouched or frame
             latest.append(frame)
             still, averaged = average_still(list(latest))
             try:
-                displacement = indentation_m(still, untouched, opened.rig)
                 measured = measure_strain(still, opened.rig, spacing_mm / 1e3)
-                record = _strain_record(still, displacement, measured) | {"averaged_frames": averaged, "problem": ""}
+                record = _strain_record(still, measured) | {"averaged_frames": averaged, "problem": ""}
             except StrainError as error:
                 record = {"sequence": frame.sequence, "problem": str(error)}
             records.append(record)
@@ -192,11 +188,10 @@ def strain(
     say(table_text(records))
 
 
-def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMeasurement) -> Record:
-    """Return displacement and largest strains; on the simulator those of its solver too, once for the dots in view."""
+def _strain_record(frame: SensorFrame, measured: StrainMeasurement) -> Record:
+    """Return the largest strains; on the simulator those of its solver too, once for the dots in view."""
     record: Record = {
         "sequence": frame.sequence,
-        "displacement_mm": round(1e3 * displacement_m, 3),
         "length_percent": round(100 * measured.length.largest, 2),
         "width_percent": round(100 * measured.width.largest, 2),
         "dots": len(measured.pixels),

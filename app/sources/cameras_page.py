@@ -18,8 +18,6 @@ from .list_devices import ask_driver
 from .pages import SourcePage
 
 CAMERAS = "cameras:"
-#: How names of sources begin that hold devices of their own.
-CAMERA_SCHEMES = (CAMERAS, "realsense:")
 
 _SEARCHING = "Searching for cameras…"
 _NONE = (

@@ -18,7 +18,7 @@ from ...widgets.basics.messages import Severity
 from ...widgets.parameters.form import Form, ParameterRow
 from ..context import Context
 from ..worker.results import SourceInfo
-from .cameras_page import CAMERA_SCHEMES, CAMERAS
+from .cameras_page import CAMERAS
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
@@ -170,7 +170,7 @@ class CameraPanel(QDialog):
         if before == preset.cameras:
             return
         self._show_options(tuple(self._sent(option, before) for option in self._options))
-        if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERA_SCHEMES):
+        if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERAS):
             self._messages.show_message(
                 "cameras",
                 Severity.INFO,

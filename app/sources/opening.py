@@ -11,7 +11,7 @@ from ...core.sources.base import split_topics
 from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons, named
 from ...widgets.basics.layouts import hbox, vbox
 from ..context import Context
-from .cameras_page import CAMERA_SCHEMES, CamerasPage
+from .cameras_page import CAMERAS, CamerasPage
 from .pages import FilesPage, SourcePage
 
 _SIZE = (820, 560)
@@ -115,7 +115,7 @@ class OpenControl(QObject):
         result = self._context.result
         if self.dialog is None:
             self._make_dialog().start_on(
-                _CAMERAS if result is not None and result.source.name.startswith(CAMERA_SCHEMES) else _FILES
+                _CAMERAS if result is not None and result.source.name.startswith(CAMERAS) else _FILES
             )
 
     def open_cameras(self) -> None:

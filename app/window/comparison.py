@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import partial
@@ -57,8 +56,6 @@ _NUMBERS: Final = {
     "Area": "Area of the patch, projected along the optical axis",
     "Points": "Points of the patch",
     "Time": "Median time of the contact test on recent frames, while they play; ≈ where no difference shows",
-    "Not in the other": "Area that only this preset finds",
-    "IoU of the patches": "Intersection over union of both patches: 1 if they cover the same pixels of contact",
 }
 #: How records are called in the table.
 _RECORDS: Final[dict[str, Callable[[Any], str]]] = {
@@ -224,14 +221,12 @@ class ComparisonPanel(QWidget):
             self._show_frame(result.compared)
 
     def _show_frame(self, compared: ComparedFrame) -> None:
-        overlap, sides = compared.overlap, (compared.a, compared.b)
-        alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
-        agreement = "–" if overlap is None else "both empty" if math.isnan(overlap.iou) else f"{overlap.iou:.3f}"
+        sides = (compared.a, compared.b)
         times = compared_times(compared.a.times_ms, compared.b.times_ms)
-        for column, (side, area_mm2) in enumerate(zip(sides, alone, strict=True)):
-            texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement, "Time": times[column]}
+        for column, side in enumerate(sides):
+            texts = {"Time": times[column]}
             if side.patch is not None:
-                texts["Area"] = _square_cm(side.area_mm2)
+                texts["Area"] = f"{side.area_mm2:,.0f} mm²"
                 texts["Points"] = f"{len(side.patch.points):,}"
             for name in [*_NUMBERS][1:]:
                 self.numbers[name, column].setText(texts.get(name, "–"))
@@ -292,7 +287,3 @@ def compared_times(a_ms: Sequence[float], b_ms: Sequence[float]) -> tuple[str, s
 
 def _load(name: str, place: Path | str) -> Side:
     return Side(name, load_preset(place))
-
-
-def _square_cm(area_mm2: float | None) -> str:
-    return "–" if area_mm2 is None else f"{area_mm2:,.0f} mm²"

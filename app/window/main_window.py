@@ -35,7 +35,7 @@ from ..rig.set_up_panel import SetUpPanel, StepRow
 from ..rig.untouched import UntouchedKeeper
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
-from ..sources.cameras_page import CAMERA_SCHEMES
+from ..sources.cameras_page import CAMERAS
 from ..sources.control import CameraPanel
 from ..sources.opening import OpenControl
 from ..sources.pages import RECENT
@@ -314,7 +314,7 @@ class MainWindow(QMainWindow):
     def open_named(self, name: str) -> None:
         """Open a source; the present one stays open until that has succeeded."""
         cameras = self.document.preset.cameras
-        exclusive = name.startswith(CAMERA_SCHEMES)
+        exclusive = name.startswith(CAMERAS)
         self.open_request(SourceRequest(name, lambda progress: open_source(name, progress, cameras), exclusive))
 
     def open_request(self, request: SourceRequest) -> None:

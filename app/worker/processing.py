@@ -10,7 +10,6 @@ from dataclasses import replace
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import TactuneError, as_sentence
 from ...core.model.frames import Rig, SensorFrame
-from ...core.model.metrics import patch_overlap
 from ...core.model.patch import Doubt
 from ...core.preset import Preset
 from ..document.comparison import Sides
@@ -205,9 +204,7 @@ class FrameProcessor:
             )
             for side, finder in zip(sides, finders, strict=True)
         )  # fmt: skip
-        if a.patch is None or b.patch is None:
-            return ComparedFrame(a, b)
-        return ComparedFrame(a, b, patch_overlap(a.patch, b.patch))
+        return ComparedFrame(a, b)
 
     def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
         rendered = self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)

@@ -13,7 +13,6 @@ from ...core.contact.pipeline import ContactPatch
 from ...core.errors import PresetError, SourceError
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
-from ...core.model.metrics import PatchOverlap
 from ...core.model.patch import Doubt, Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched
@@ -176,11 +175,10 @@ class ComparedSide:
 
 @dataclass(frozen=True, eq=False)
 class ComparedFrame:
-    """Two compared presets on one frame; no overlap if one cannot be used with this rig."""
+    """Two compared presets on one frame."""
 
     a: ComparedSide
     b: ComparedSide
-    overlap: PatchOverlap | None = None
 
 
 @dataclass(frozen=True, eq=False)

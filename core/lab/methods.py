@@ -70,27 +70,17 @@ def _added() -> tuple[dict[str, MakeRival], dict[str, str]]:
     return added_by_others(_GROUP, Callable)
 
 
-def rivals() -> dict[str, MakeRival]:
-    """Return all rivals, those of other packages included."""
-    return {**_added()[0], **RIVALS}
-
-
 def method_names() -> tuple[str, ...]:
     """Return the names that `make_method` knows, pipelines first."""
     return (*PIPELINES, *RIVALS, *(name for name in _added()[0] if name not in RIVALS))
 
 
-def method_problems() -> dict[str, str]:
-    """Return one sentence for each method of another package that cannot be loaded."""
-    return _added()[1]
-
-
 def check_methods(names: Sequence[str], known: Sequence[str] | None = None) -> None:
     """Raise a `TactuneError` unless each name is one of the known ones, by default all."""
-    known = method_names() if known is None else known
+    known, problems = method_names() if known is None else known, _added()[1]
     for name in names:
-        if name in method_problems():
-            raise TactuneError(method_problems()[name])
+        if name in problems:
+            raise TactuneError(problems[name])
         if name not in known:
             raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
 
@@ -110,4 +100,4 @@ def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | No
             f"{name} compares with the untouched membrane, but there is no untouched frame; "
             "capture one while nothing touches the membrane"
         )
-    return rivals()[name](preset, rig, untouched)
+    return {**_added()[0], **RIVALS}[name](preset, rig, untouched)

@@ -24,9 +24,8 @@ from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Int64A
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 
-#: Default distance of neighbouring dots on the flat sheet, metres, and the range of possible ones.
+#: Default distance of neighbouring dots on the flat sheet, metres.
 SPACING_M: Final = 0.010
-SPACING_RANGE_M: Final = (0.001, 0.1)
 #: Largest diameters of dots that are tried, pixels; the one that orders most dots is used.
 _DOT_WIDTHS_PX: Final = (11, 21, 41)
 #: A dot is darker than the sheet around it by more than this, 0 to 255, and by this share of the darkest dots.
@@ -93,7 +92,6 @@ class StrainMeasurement:
 
 
 def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
-    check_spacing(spacing_m)
     frame.check_against(rig)
     if frame.tactile_color is None or frame.tactile_color.shape[:2] != frame.tactile_depth.shape:
         raise StrainError(
@@ -110,24 +108,6 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
         if len(axis.pairs) == 0:
             raise StrainError(f"frame {frame.sequence}: no neighbouring dots along the {name} have depth")
     return StrainMeasurement(pixels, *axes)
-
-
-def check_spacing(spacing_m: float) -> None:
-    """Raise a `StrainError` unless the spacing is between 1 and 100 mm."""
-    low, high = SPACING_RANGE_M
-    if not (math.isfinite(spacing_m) and low <= spacing_m <= high):
-        raise StrainError(
-            f"the dots' spacing is {1e3 * spacing_m:g} mm; give the distance of neighbours on the flat sheet, "
-            f"{1e3 * low:g} to {1e3 * high:g} mm"
-        )
-
-
-def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float:
-    """Return the largest displacement of the membrane towards the tactile camera, at least 0."""
-    moved = _smooth_depth_m(untouched, rig.tactile) - _smooth_depth_m(frame, rig.tactile)
-    if not np.isfinite(moved).any():
-        raise StrainError(f"frame {frame.sequence} and the untouched membrane have no pixel with depth in common")
-    return max(float(np.nanmax(moved)), 0.0)
 
 
 def average_still(frames: Sequence[SensorFrame]) -> tuple[SensorFrame, int]:

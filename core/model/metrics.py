@@ -30,8 +30,6 @@ class PixelScores:
 
 def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
     """Compare two masks of one camera, bool, shape (H, W)."""
-    if mask.shape != truth.shape:
-        raise ValueError(f"the masks have the shapes {mask.shape} and {truth.shape}; compare masks of one camera")
     both = int(np.count_nonzero(mask & truth))
     claimed, true = int(np.count_nonzero(mask)), int(np.count_nonzero(truth))
     return PixelScores(_share(both, claimed + true - both), _share(both, claimed), _share(both, true))
@@ -39,28 +37,6 @@ def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
 
 def _share(part: int, whole: int) -> float:
     return part / whole if whole else math.nan
-
-
-@dataclass(frozen=True)
-class PatchOverlap:
-    """How far two patches of one frame agree: intersection over union, and the area that only one of them covers.
-
-    Without a pixel in either, ``iou`` is nan.
-    """
-
-    iou: float
-    only_a_mm2: float
-    only_b_mm2: float
-
-
-def patch_overlap(a: ContactPatch, b: ContactPatch) -> PatchOverlap:
-    """Compare two patches of the same frame."""
-    return PatchOverlap(pixel_scores(a.mask, b.mask).iou, _area_outside_mm2(a, b), _area_outside_mm2(b, a))
-
-
-def _area_outside_mm2(patch: ContactPatch, other: ContactPatch) -> float:
-    depth_m = patch.points[~other.mask[patch.mask], 2]
-    return float(pixel_areas_m2(depth_m, patch.rig.proximity.intrinsics).sum() * 1e6)
 
 
 def true_contact(frame: SensorFrame, rig: Rig) -> tuple[Float32Array, float]:

@@ -34,7 +34,7 @@ class _Camera:
 def export_calibration(
     path: Path, kind: str, rig: Rig, preset: Preset | None = None, *, exclusive: bool = False
 ) -> None:
-    """Write lenses and poses of a rig as one of `CALIBRATIONS`; a preset's calibrated pose replaces the rig's own."""
+    """Write lenses and poses of a rig as "ros", "kalibr" or "urdf"; a preset's pose replaces the rig's."""
     cameras = list(_cameras(rig, preset))
     text = _WRITERS[kind](cameras)
     with atomic_path(path, exclusive=exclusive) as temporary:
@@ -138,5 +138,3 @@ def _urdf(cameras: list[_Camera]) -> str:
 
 
 _WRITERS: Final[dict[str, Callable[[list[_Camera]], str]]] = {"ros": _launch, "kalibr": _camchain, "urdf": _urdf}
-#: Kinds of `export_calibration`.
-CALIBRATIONS: Final = tuple(_WRITERS)

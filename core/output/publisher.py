@@ -123,7 +123,7 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class OutputStatus:
-    """State of a sink: frames sent (poses where clients listen to poses only), and their rate over the last seconds.
+    """State of a sink: the rate of frames (of poses where clients listen to these only) over the last seconds.
 
     ``missed`` counts frames and poses that came while the sink was still sending another; ``error`` says why the last
     frame could not be sent.
@@ -131,7 +131,6 @@ class OutputStatus:
 
     sink: SinkStatus
     rate_hz: float
-    sent: int
     missed: int
     error: str
 
@@ -314,7 +313,6 @@ class _Output:
         self._waiting: dict[str, Messages] = {}  # "frame" and "pose"
         self._announced: set[str] = set()
         self._closing = False
-        self._sent: Counter[str] = Counter()
         self._missed = 0
         self._sent_s: deque[tuple[str, float]] = deque(maxlen=_RATE_FRAMES)
         self._error = ""
@@ -332,8 +330,8 @@ class _Output:
         with self._changed:
             since_s = time.monotonic() - _RATE_OVER_S
             recent = Counter(kind for kind, time_s in self._sent_s if time_s > since_s)
-            sent, rate = (max(counts.values(), default=0) for counts in (self._sent, recent))
-            return OutputStatus(self.sink.status(), rate / _RATE_OVER_S, sent, self._missed, self._error)
+            rate_hz = max(recent.values(), default=0) / _RATE_OVER_S
+            return OutputStatus(self.sink.status(), rate_hz, self._missed, self._error)
 
     def close(self) -> None:
         with self._changed:
@@ -369,7 +367,6 @@ class _Output:
             return
         self.sink.send(found)
         with self._changed:
-            self._sent[kind] += 1
             self._error = ""
             self._sent_s.append((kind, time.monotonic()))
 

@@ -178,7 +178,6 @@ def check_size(path: Path, image: AnyArray, shape: tuple[int, int]) -> AnyArray:
     return image
 
 
-_NOMINAL_RATE_HZ = 30.0
 _Seconds = Annotated[float, Field(ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)]
 
 
@@ -198,8 +197,6 @@ class FolderSource(SeekableSource):
     def __init__(self, path: Path | str) -> None:
         self._path = user_path(path)
         name = f"folder:{path}"
-        if not self._path.is_dir():
-            raise SourceError(f"{name}: there is no folder {self._path}; check the path")
         rig, self._forms = load_folder_rig(self._path / "rig.json")
         self._layout = find_frames(self._path)
         frames = enumerate(self._layout.frames)
@@ -220,7 +217,7 @@ class FolderSource(SeekableSource):
         """Rate from the median interval of the time stamps; 30 Hz where they have none."""
         gaps = np.diff([stamp.proximity_time_s for stamp in self._stamps])
         median = float(np.median(gaps)) if len(gaps) else 0.0
-        return 1.0 / median if median > 0 else _NOMINAL_RATE_HZ
+        return 1.0 / median if median > 0 else super().frame_rate_hz
 
     def read(self, index: int) -> SensorFrame:
         return self._frame(self._layout.frames[index], self._stamps[index])

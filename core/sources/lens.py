@@ -38,8 +38,10 @@ _PINHOLE = (
     "rational_polynomial",
     "rational",
     "thin_prism",
+    "rational_thin_prism",
+    "thin_prism_tilt",
+    "tilted",
 )
-_THIN_PRISM = ("rational_thin_prism", "thin_prism_tilt", "tilted")
 _FISHEYE = ("equidistant", "fisheye", "equi", "kannala_brandt", "kannala_brandt4", "opencv_fisheye", "theta")
 _NO_DISTORTION = ("", "none", "no", "null", "perfect", "rectified", "ideal")
 #: OpenCV's numbers of coefficients of a pinhole lens.
@@ -86,7 +88,7 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
         if d.any():
             raise SourceError(f"its lens has coefficients, but its model is {model!r}; name the model")
         return Lens(_intrinsics(pinhole))
-    if name not in (*_PINHOLE, *_THIN_PRISM) or d.size not in _COUNTS:
+    if name not in _PINHOLE or d.size not in _COUNTS:
         known = ", ".join(("none", "plumb_bob", "rational_polynomial", "thin_prism", "equidistant"))
         raise SourceError(
             f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is unknown; known are {known}"

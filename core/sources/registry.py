@@ -127,7 +127,6 @@ _OWN: Final = {
             _ROS_FOLDER,
         ),
         SourceKind("cameras", "Cameras", "cameras:[PROXIMITY,TACTILE]", _open_cameras),
-        SourceKind("realsense", "Cameras", "realsense:[PROXIMITY,TACTILE]", _open_cameras),  # in older files
         SourceKind("ros2", "Live ROS 2 topics", "ros2:[?domain=N]", _open_ros2),
         SourceKind("live", "Any source, played live", "live:SOURCE", _open_live),
     )

@@ -157,7 +157,7 @@ def test_a_refusal_is_said(window, cameras, panel, qtbot):
 
 def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
     cameras = FakeCameras()
-    cameras.name = "realsense:f001,d002"
+    cameras.name = "cameras:f001,d002"
     cameras.release()
     show_source(qtbot, window, cameras)
     window.document.edit("cameras.tactile_delay_s", 0.1)

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
 from ...core.errors import minus
 from .controls import named
-from .theme import theme_colors, theme_name
+from .theme import theme_name
 
 _Role = Qt.ItemDataRole
 #: Background of a row that needs a look.
@@ -26,8 +26,8 @@ class Column:
     """One column: how a record's cell reads and looks.
 
     ``value`` gives the text of a record, or its number where ``decimals`` is given; nan is shown as a dash. ``ticked``
-    is None where there is no check box. ``hint`` is the tooltip of a cell, ``color`` a field of `ThemeColors`. The
-    column is as wide as ``sample``, or as its content, or takes the room that is left.
+    is None where there is no check box. ``hint`` is the tooltip of a cell. The column is as wide as ``sample``, or as
+    its content, or takes the room that is left.
     """
 
     title: str
@@ -36,7 +36,6 @@ class Column:
     decimals: int | None = None
     ticked: Callable[[Any], bool | None] | None = None
     hint: Callable[[Any], str] | None = None
-    color: Callable[[Any], str] | None = None
     sample: str = ""
     stretch: bool = False
 
@@ -115,8 +114,6 @@ class _Model(QAbstractTableModel):
             answer = side | Qt.AlignmentFlag.AlignVCenter
         elif role == _Role.ToolTipRole:
             answer = (column.hint(record) if column.hint is not None else "") or column.tip
-        elif role == _Role.ForegroundRole and column.color is not None and column.color(record):
-            answer = QColor(getattr(theme_colors(), column.color(record)))
         elif role == _Role.BackgroundRole and self._marked is not None and self._marked(record):
             answer = _MARKED[theme_name()]
         return answer

@@ -147,8 +147,6 @@ class RosSource(RecordedSource):
         text, chosen = split_name(rest)
         paths = _paths(text)
         self._path, self._progress, name = paths[0], progress, f"{scheme}:{text}"
-        if not self._path.exists():
-            raise SourceError(f"{name}: there is no file {self._path}; check the path")
         with ExitStack() as resources:
             self._bag = open_bag(paths, progress)
             resources.callback(self._bag.close)

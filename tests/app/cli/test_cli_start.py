@@ -124,7 +124,7 @@ def test_a_display_that_does_not_answer_is_said_in_words(tactune, monkeypatch):
 @pytest.mark.parametrize(
     ("source", "preset"),
     [("sim", "simulator"), ("sim:cup?seed=3", "simulator"), ("live:sim", "simulator"), ("live:sim:cube", "simulator"),
-     ("folder:sim", "default"), ("realsense:", "default"), ("live:folder:x", "default"), ("similar.bag", "default")],
+     ("folder:sim", "default"), ("cameras:", "default"), ("live:folder:x", "default"), ("similar.bag", "default")],
 )  # fmt: skip
 def test_the_simulator_has_a_preset_of_its_own(source, preset):
     assert default_preset(source) == preset

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rigs import one_place_rig
-from tactune.core.lab.strain import StrainError, average_still, indentation_m, measure_strain
+from tactune.core.lab.strain import StrainError, average_still, measure_strain
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.registry import open_source
 
@@ -83,8 +83,6 @@ def test_frames_at_rest_are_averaged_and_moved_ones_are_not():
     still, count = average_still([moved, *frames[1:]])
     assert (count, still.sequence) == (3, 3)
     assert average_still([frames[0]]) == (frames[0], 1)
-    assert indentation_m(moved, frames[0], RIG) == pytest.approx(0.0015, abs=2e-4)
-    assert indentation_m(frames[0], moved, RIG) == 0.0
 
 
 @pytest.mark.parametrize(("frames", "within"), [(1, 0.08), (10, 0.05)])
@@ -109,7 +107,3 @@ def test_what_cannot_be_measured_is_told():
     ):
         with pytest.raises(StrainError, match="frame 0"):
             measure_strain(bad, RIG)
-    with pytest.raises(StrainError, match="spacing"):
-        measure_strain(frame, RIG, 0.0)
-    with pytest.raises(StrainError, match="in common"):
-        indentation_m(frame, replace(frame, tactile_depth=nothing), RIG)

@@ -21,7 +21,7 @@ from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion, Intrinsics
 from tactune.core.model.patch import AlignedDepth, Provenance
 from tactune.core.model.rig_file import parse_rig
-from tactune.core.output.calibration_files import CALIBRATIONS, export_calibration
+from tactune.core.output.calibration_files import export_calibration
 from tactune.core.output.cloud_files import SUFFIXES, patch_columns, write_cloud
 from tactune.core.output.hdf5 import export_hdf5
 from tactune.core.preset import Preset
@@ -96,7 +96,7 @@ READERS = {"urdf": urdf_poses, "ros": launch_poses, "kalibr": kalibr_poses}
 
 
 @pytest.mark.parametrize("angles", [(0, 0, 0), (10, -20, 30), (0, 90, 0), (170, 0, -179)])
-@pytest.mark.parametrize("kind", CALIBRATIONS)
+@pytest.mark.parametrize("kind", READERS)
 def test_other_tools_read_the_poses(tmp_path, kind, angles):
     rig = rig_with(turned(*angles))
     path = tmp_path / "rig.yaml"

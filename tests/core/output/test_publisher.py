@@ -152,7 +152,7 @@ def test_a_slow_sink_loses_its_own_frames_and_no_other(processed):
         slow.gate.set()
         slow.wait_for(lambda messages: len(messages) == 2)
         of_quick, of_slow = publisher.status()
-        assert (of_quick.sent, of_quick.missed) == (5, 0)
+        assert of_quick.missed == 0
         assert of_slow.missed == 3
     assert not quick.is_open
     assert not slow.is_open
@@ -170,7 +170,6 @@ def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(processed):
             sink.wait_for(lambda messages, count=count: len(messages) == count + 1)
         publisher.put_pose(np.array(TURN), np.eye(6), frame.proximity_time_s)
         sink.wait_for(lambda messages: len(messages) == 4)
-        assert publisher.status()[0].sent == 2
     [pose] = [message for message in sink.messages if message.topic == "/object/pose"]
     assert pose.stamp_ns == sink.messages[0].stamp_ns
     assert decoded(pose.type, pose.data).pose.pose.position.y == 0.2

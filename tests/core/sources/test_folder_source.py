@@ -156,7 +156,7 @@ def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording):
         ("bag:", r"bag: needs a path, as in bag:PATH"),
         ("live:", r"live: needs another source, as in live:sim"),
         ("live:folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
-        ("realsense:1", r"cameras:1: give both serial numbers, as in cameras:f0090001,130322270002, or none"),
+        ("cameras:1", r"cameras:1: give both serial numbers, as in cameras:f0090001,130322270002, or none"),
         ("folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
         ("bag:nowhere", r"bag:nowhere: there is no file nowhere"),
         ("sim:table", "scene is 'table'"),
