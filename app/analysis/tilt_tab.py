@@ -124,7 +124,7 @@ class TiltTab(LiveTab):
         self.cloud.set_message("No contact yet: press the object into the membrane, or play to a frame with contact")
         self.cloud.set_cloud(cloud if len(points) else None)
         plane = [("fitted plane", QColor(*_PITCH_RGB))] if len(lines) else []
-        self.cloud.legend.setValue([("patch", CONTACT_COLOR), *plane])
+        self.cloud.header.set_entries([("patch", CONTACT_COLOR), *plane])
         self.roll.setText(f"Roll {degrees_text(tilt.roll_rad, tilt.roll_sigma_rad)}")
         self.pitch.setText(f"Pitch {degrees_text(tilt.pitch_rad, tilt.pitch_sigma_rad)}")
         self.axis.setText(f"Long axis {degrees_text(tilt.axis_rad, tilt.axis_sigma_rad)}")

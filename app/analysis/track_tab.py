@@ -258,7 +258,7 @@ class TrackTab(LiveTab):
                 lut[row, 3] = 255
             legend.append(("model", QColor(*_MODEL_RGB)))
         self.scene.set_cloud(free_cloud(points, colors, lut, count=len(patch)) if len(points) else None)
-        self.scene.legend.setValue(legend)
+        self.scene.header.set_entries(legend)
 
     def _next_step(self) -> str:
         if self.model is None:

@@ -113,9 +113,9 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("go_to", "&Go to…", "Ctrl+G", "Type a frame number"),
         Row("loop", "&Loop", "L", "Repeat a recording when it ends", "repeat", True),
         _LINE,
-        Row("mark_in", "&In mark", "I", "Start the part to export or tune here", "align-horizontal-left"),
-        Row("mark_out", "&Out mark", "O", "End the part to export or tune here", "align-horizontal-right"),
-        Row("clear_marks", "&Clear in and out", "Shift+I", "Remove the in and out marks", "close"),
+        Row("mark_in", "&In mark", "I", "Start the part to export or tune here"),
+        Row("mark_out", "&Out mark", "O", "End the part to export or tune here"),
+        Row("clear_marks", "&Clear in and out", "Shift+I", "Remove the in and out marks"),
         _LINE,
         Row(
             "record",

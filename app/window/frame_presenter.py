@@ -50,7 +50,7 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], shown: bool) -> str
 
 
 def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
-    """Return two lines on a proximity pixel: distances, gap and colour; why it was kept or dropped, and by how much."""
+    """Return a line on a proximity pixel: distances, gap and colour, and why it was kept or dropped."""
     if patch is None:
         return color
     height, width = patch.rig.proximity.intrinsics.shape
@@ -68,12 +68,11 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
     if pressure is not None and math.isfinite(q):
         known = pressure.inflation_pa > 0
         gap = f"pressure {1e-3 * pressure.inflation_pa * q:.2f} kPa" if known else f"pressure {q:.2f} × inflation"
-    # What a narrow window cuts off comes last.
     two, difference = patch.rig.has_proximity, ""
     if two and math.isfinite(relative):
         difference = f"(dp − dt) / dp = {minus(f'{relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)')}"
-    numbers = (f"({u}, {v})", f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}", gap, color)
-    return "\n".join("   ".join(filter(None, parts)) for parts in (numbers, (why, difference)))
+    distances = f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}"
+    return "   ".join(filter(None, (f"({u}, {v})", *distances, gap, difference, color, why)))
 
 
 def _metres(value: float) -> str:
@@ -182,12 +181,12 @@ class FramePresenter(QObject):
     def _show_readout(self) -> None:
         result = self._context.result
         if result is None:
-            self._strip.readout.setText("")
+            self._status.readout.setText("")
             return
         color, compared = hsv_words(result, *self._pixel), result.compared
         if compared is None:
-            self._strip.readout.setText(readout(result.patch, *self._pixel, color))
+            self._status.readout.setText(readout(result.patch, *self._pixel, color))
             return
         right = self._strip.right_of_wipe(self._pixel[0])
         text = readout((compared.b if right else compared.a).patch, *self._pixel, color)
-        self._strip.readout.setText(text and f"{'B' if right else 'A'}   {text}")
+        self._status.readout.setText(text and f"{'B' if right else 'A'}   {text}")

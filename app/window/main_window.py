@@ -168,9 +168,8 @@ class MainWindow(QMainWindow):
         self.beside.setFixedWidth(COLUMN_PX)
         self.search = Search(self._found_by_name, self.views.setFocus)
         self.mode_bar = ModeBar(self.actions_, self.menus.preset, self.search)
-        marks = (self.actions_.mark_in, self.actions_.mark_out, self.actions_.clear_marks)
-        self.time_strip.add_controls(self.transport, marks)
-        left = vbox((self.views, 1), self.time_strip, margins=0, spacing=4)
+        playback = hbox(self.transport, (self.time_strip, 1), margins=(4, 0, 4, 0), spacing=4)
+        left = vbox((self.views, 1), playback, margins=0, spacing=4)
         centre = QWidget()
         across = hbox((left, 1), self.beside, margins=(4, 0, 4, 0), spacing=8)
         vbox(self.mode_bar, (across, 1), within=centre, margins=0, spacing=0)
@@ -348,8 +347,7 @@ class MainWindow(QMainWindow):
         self._enable_measuring(True)
         self._leave_out_missing(info.rig)
         self.settings.add_recent(RECENT, info.name)
-        self.mode_bar.show_source(info.name)
-        self.status.show_source(info)
+        self.mode_bar.show_source(info)
         self.file_flows.offer_preset(info.preset)
 
     def _leave_out_missing(self, rig: Rig) -> None:

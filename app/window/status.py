@@ -1,4 +1,4 @@
-"""The status bar: state and source; the numbers on the patch, and the other numbers of a frame."""
+"""The status bar: state, and the pixel under the mouse; the numbers on the patch, and the others of a frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...core.errors import counted, minus
 from ...widgets.basics.controls import ElidedLabel, named
 from ...widgets.basics.overlays import Reading
 from ..worker.playback import PlaybackState
-from ..worker.results import Pace, RateMeter, Result, SourceInfo, SourceState
+from ..worker.results import Pace, RateMeter, Result, SourceState
 
 #: Interval between updates of numbers while frames play, in seconds: nobody reads them faster.
 INTERVAL_S = 0.2
@@ -82,7 +82,7 @@ class FrameDetails(QLabel):
 
 
 class FrameStatus(QStatusBar):
-    """What the source does, its name and cameras, and whether patches are published."""
+    """What the source does, what is under the mouse, and whether patches are published."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -95,17 +95,11 @@ class FrameStatus(QStatusBar):
         self.state = _flat_button("Rates, dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
         self.state.setText("No source")
         self.addWidget(self.state)
-        self._source = ElidedLabel()
-        self.addWidget(self._source, 1)
+        self.readout = ElidedLabel()
+        self.addWidget(self.readout, 1)
         self.publishing = _flat_button("Connections to Foxglove and ROS 2: state, or end them (F8)")
         self.publishing.hide()
         self.addPermanentWidget(self.publishing)
-
-    def show_source(self, info: SourceInfo) -> None:
-        rig = info.rig
-        cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in rig.cameras)
-        length = "" if info.length is None else f", {counted(info.length, 'frame')}"
-        self._source.setText(f"{info.name}{length}, {cameras}")
 
     def show_state(self, state: SourceState) -> None:
         self._stale = state.stale

@@ -10,10 +10,12 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSpinBox, QWidget
 
+from ...core.errors import counted
 from ...widgets.basics.controls import action_button, named
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import hbox, vbox
 from ..worker.playback import PlaybackState
+from ..worker.results import SourceInfo
 from .actions import Actions
 from .modes import Mode
 
@@ -63,7 +65,7 @@ class Transport(QWidget):
         self.position.valueChanged.connect(lambda number: self.seekRequested.emit(number - 1))
         actions.go_to.triggered.connect(self._go_to)
         buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop))
-        hbox(*buttons, self.position, within=self, margins=0, spacing=0)
+        hbox(*buttons, self.position, within=self, margins=0, spacing=4)
         self._show_mode()
 
     def show_state(self, state: PlaybackState) -> None:
@@ -126,10 +128,15 @@ class ModeBar(QWidget):
         modes = [action_button(actions.by_name()[mode.value], "mode", with_text=True) for mode in Mode]
         row = hbox(*modes, 16, (search, 1), 16, self.source, self.preset, margins=(8, 4, 8, 4), spacing=4)
         vbox(row, within=self, margins=0)
-        self.show_source("none")
+        self.show_source(None)
 
-    def show_source(self, name: str) -> None:
-        self.source.show_name(name, f"Source of the frames; click to open another one (Ctrl+O)\n{name}")
+    def show_source(self, info: SourceInfo | None) -> None:
+        name = details = "none"
+        if info is not None:
+            cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in info.rig.cameras)
+            length = "" if info.length is None else f"{counted(info.length, 'frame')}, "
+            name, details = info.name, f"{info.name}\n{length}{cameras}"
+        self.source.show_name(name, f"Source of the frames; click to open another one (Ctrl+O)\n{details}")
 
     def show_preset(self, title: str, path: Path | None) -> None:
         self.preset.show_name(title, f"The preset being tuned\n{path or 'not saved to a file yet'}")

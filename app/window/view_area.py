@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import QPoint, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QPainter, QPixmap, QResizeEvent
+from PyQt6.QtGui import QPainter, QPixmap
 from PyQt6.QtWidgets import QSlider, QWidget
 
 from ...core.contact.pipeline import ContactPatch
@@ -29,7 +29,6 @@ from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.clouds.cloud_labels import level
 from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ...widgets.images.image_strip import ImageStrip
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
@@ -71,7 +70,7 @@ class ViewArea(QWidget):
         super().__init__()
         self.views = {name: CloudView(title, inspects=True) for name, title in TITLES.items()}
         patch = self.views[CloudName.PATCH]
-        patch.setToolTip(_READINGS_TIP + patch.toolTip())
+        patch.help = _READINGS_TIP + patch.help
         self.strip = strip
         self.toggles = {
             CloudName.PROXIMITY: actions.show_proximity,
@@ -116,6 +115,7 @@ class ViewArea(QWidget):
         actions.zoom_to_patch.triggered.connect(self._zoom_to_patch)
         actions.zoom_to_patch.setEnabled(False)
         self._resize_points(self.point_size.value())
+        self._show_large()
 
     def _lay_out(self) -> None:
         self._choices = QWidget()
@@ -134,8 +134,6 @@ class ViewArea(QWidget):
         #: Where each part stands while the patch is the large one.
         self._places = [*of_cameras, (self._rows, 1, self.strip), (self._across, 1, patch)]
         self.splitters = {"views/cameras": self._cameras, "views/rows": self._rows, "views/across": self._across}
-        for each in self.splitters.values():
-            each.splitterMoved.connect(self._fit_legends)
 
     def share_room(self) -> None:
         """Give each view its share of the room: the patch has more than twice the area of any other."""
@@ -172,7 +170,7 @@ class ViewArea(QWidget):
         self.strip.setVisible(bool(image) or self._actions.show_strip.isChecked())
         for room, shown in ((self._cameras, self._cameras), (self._rows, self._side)):
             shown.setVisible(any(part is not None and not part.isHidden() for part in map(room.widget, (0, 1))))
-        self._fit_legends()
+        self._show_large()
         self.wantedChanged.emit()
 
     def choose_colors(self, choice: ColorBy) -> None:
@@ -197,7 +195,6 @@ class ViewArea(QWidget):
         """Show the clouds of a result with their legends, of two compared presets on both sides of the wipe."""
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
-        legends = [view.legend.entries for view in self.views.values()]
         self.set_wipe(wipe)
         sides = (result,) if result.compared is None else (result.compared.a, result.compared.b)
         with_pressure = any(side.patch is not None and side.patch.pressure is not None for side in sides)
@@ -212,8 +209,6 @@ class ViewArea(QWidget):
             for name in result.rendered.clouds:
                 cloud, message = _shown(name, result)
                 self._show_cloud(name, cloud, message, legend_of(name, result.rendered, theme))
-        if legends != [view.legend.entries for view in self.views.values()]:
-            self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
             self._any_view().refocus()
@@ -251,16 +246,12 @@ class ViewArea(QWidget):
         view = self.views[name]
         view.set_cloud(cloud)
         view.set_message(message)
-        if view.legend.entries != legend:
-            view.legend.setValue(legend)
+        view.header.set_entries(legend)
 
-    def _fit_legends(self) -> None:
-        for large in (False, True):
-            level([view.legend for view in self.views.values() if (view is self.large) is large])
-
-    def resizeEvent(self, event: QResizeEvent | None) -> None:
-        super().resizeEvent(event)
-        self._fit_legends()
+    def _show_large(self) -> None:
+        """Let the large view alone show legend and axes; the others have the same colours and directions."""
+        for view in self.views.values():
+            view.set_large(view is self.large or self.large.isHidden())
 
     def show_rig(self, rig: Rig) -> None:
         """Leave out the view of a camera that the rig does not have."""

@@ -222,5 +222,5 @@ def test_pointing_at_an_image_reads_the_side_under_the_mouse(compared, qtbot):
     strip.panes["color"].hovered.emit(int(u), int(v))
     for share, letter, verdict in ((1.0, "A", "Dropped"), (0.0, "B", "Kept")):
         compared.comparison.move_wipe(share)
-        assert strip.readout.text().startswith(letter)
-        assert verdict in strip.readout.text()
+        assert compared.status.readout.text().startswith(letter)
+        assert verdict in compared.status.readout.text()

@@ -106,8 +106,8 @@ def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
     QApplication.processEvents()
     pane = window.strip.panes["difference"]
     QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())
-    qtbot.waitUntil(lambda: "outside the edge of contact" in window.strip.readout.text())
-    gap_mm = float(re.search(r"gap ([\d.]+) mm", window.strip.readout.text())[1])
+    qtbot.waitUntil(lambda: "outside the edge of contact" in window.status.readout.text())
+    gap_mm = float(re.search(r"gap ([\d.]+) mm", window.status.readout.text())[1])
     assert 0.05 < gap_mm < 1.5
 
 

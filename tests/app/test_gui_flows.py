@@ -100,7 +100,7 @@ def test_while_picking_a_banner_says_what_to_click_and_the_line_tells_the_colour
     assert covered < 4, "the image that is clicked is not covered"
     for place in ((20, 20), (8, 8)):  # a move to where the pointer is already would be dropped
         QTest.mouseMove(pane.view.viewport(), image_position(pane, *place).toPoint())
-    qtbot.waitUntil(lambda: "H 116  S 204  V 200" in strip.readout.text())
+    qtbot.waitUntil(lambda: "H 116  S 204  V 200" in window.status.readout.text())
     QTest.mouseClick(strip.banner.done, LEFT)
     assert window.eyedropper.mode == "off"
     assert not pick.isChecked()
@@ -110,7 +110,7 @@ def test_while_picking_a_banner_says_what_to_click_and_the_line_tells_the_colour
 def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
     panel, pane = window.panel, window.strip.panes["color"]
     assert not panel.masked_share.isVisible()
-    assert not panel.show_mask.isEnabled() and [name for name, _ in pane.legend.entries] == ["contact"], "no mask"
+    assert not panel.show_mask.isEnabled() and [name for name, _ in pane.header.entries] == ["contact"], "no mask"
     QTest.mouseClick(panel.eyedroppers["set"], LEFT)
     QTest.mouseClick(pane.view.viewport(), LEFT, pos=image_position(pane, 8, 8).toPoint())
     qtbot.waitUntil(panel.masked_share.isVisible)
@@ -120,7 +120,7 @@ def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
     def tinted():
         corner = window.result.rendered.strip.panes["color"][4:8, 4:8, :3]
         seen = bool((corner != MEMBRANE_RGB[::-1]).any(axis=2).all())
-        return seen, "masked" in dict(pane.legend.entries)
+        return seen, "masked" in dict(pane.header.entries)
 
     assert tinted() == (True, True)
     QTest.mouseClick(panel.show_mask, LEFT)
@@ -132,14 +132,14 @@ def test_hovering_says_why_a_pixel_was_kept(window, qtbot):
     window.strip.choose("difference")
     QApplication.processEvents()
     QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())
-    qtbot.waitUntil(lambda: "Kept" in window.strip.readout.text())
-    text = window.strip.readout.text()
+    qtbot.waitUntil(lambda: "Kept" in window.status.readout.text())
+    text = window.status.readout.text()
     assert f"({WIDTH // 2}, {HEIGHT // 2})" in text
     assert "dp 0.252" in text
     assert "dt 0.250" in text
     assert "= +0.8% (+2.1 mm)" in text
     QTest.mouseMove(pane.view.viewport(), image_position(pane, 2, 2).toPoint())
-    qtbot.waitUntil(lambda: "Dropped" in window.strip.readout.text())
+    qtbot.waitUntil(lambda: "Dropped" in window.status.readout.text())
 
 
 def test_pause_step_and_seek(window, qtbot):
@@ -242,7 +242,7 @@ def test_in_provenance_each_view_answers_its_own_question(window, qtbot):
     window.document.edit("region.rectangle", (0, 0, 64, 24))
     window.document.edit("region.enabled", True)
     qtbot.waitUntil(lambda: window.result.preset == window.document.preset)
-    names = {name: [text for text, _ in view.legend.entries] for name, view in window.views.views.items()}
+    names = {name: [text for text, _ in view.header.entries] for name, view in window.views.views.items()}
     verdicts = window.result.patch.provenance
     assert {Provenance.OUTSIDE_REGION, Provenance.OUTSIDE_TOLERANCE} < set(np.unique(verdicts))
     assert "out of region" in names[PROXIMITY] and "out of region" not in names[PATCH]
@@ -256,5 +256,5 @@ def test_the_patch_view_shows_what_late_steps_dropped(window, qtbot):
     values = {"mask.enabled": True, "mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)}
     window.document.edit_many(values, 1, "Drop the disc")
     qtbot.waitUntil(lambda: window.result.preset == window.document.preset and not window.result.patch.mask.any())
-    patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].legend.entries}
+    patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].header.entries}
     assert (colors_of(window, PATCH)[disc][:, :3] == patch["masked"]).all()

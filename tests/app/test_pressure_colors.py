@@ -56,7 +56,7 @@ def choose_pressure(window, qtbot):
 
 
 def legend(window, name):
-    return {text: color.getRgb()[:3] for text, color in window.views.views[name].legend.entries}
+    return {text: color.getRgb()[:3] for text, color in window.views.views[name].header.entries}
 
 
 def colors_of(window, name):
@@ -147,7 +147,7 @@ def test_the_pixel_under_the_mouse_says_its_pressure(shown, qtbot):
     v, u = (int(each) for each in np.argwhere(shown.result.patch.mask)[100])
     shown.strip.point_at(u, v)
     pressure_kpa = 1e-3 * shown.result.patch.pressure_pa[v, u]
-    qtbot.waitUntil(lambda: f"{pressure_kpa:.2f} kPa" in shown.strip.readout.text())
+    qtbot.waitUntil(lambda: f"{pressure_kpa:.2f} kPa" in shown.status.readout.text())
 
 
 def test_the_strip_draws_the_force_and_says_what_it_needs(shown, qtbot):

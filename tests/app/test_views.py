@@ -5,9 +5,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint, QRect, QSize, Qt
+from PyQt6.QtCore import QEvent, QPoint, QRect, QSize, Qt
+from PyQt6.QtGui import QHelpEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QToolTip, QWidget
 
 from fakes import FakeSource, tiny_frame
 from hands import CONTROL, LEFT, image_position, show_source
@@ -83,6 +84,23 @@ def test_zoom_to_patch_fills_the_view_with_the_patch_and_is_off_without_one(wind
     assert abs(left + right - 1) < 0.05 and abs(top + bottom - 1) < 0.05
     window.document.edit("tolerance.t", 0.0)
     qtbot.waitUntil(lambda: not window.actions_.zoom_to_patch.isEnabled())
+
+
+def test_the_large_view_alone_shows_its_legend_and_a_tooltip_tells_those_of_others(window, qtbot):
+    def painted(name):
+        header = window.views.views[name].header
+        image = header.grab().toImage()
+        places = [(x, y) for x in range(image.width()) for y in range(image.height())]
+        return header.entries[0][1].rgb() in {image.pixel(*at) for at in places}
+
+    assert painted(PATCH) and not painted(PROXIMITY)
+    QTest.mouseMove(canvas(window, PROXIMITY), QPoint(9, 9))
+    where = canvas(window, PROXIMITY).mapToGlobal(QPoint(9, 9))
+    QApplication.sendEvent(canvas(window, PROXIMITY), QHelpEvent(QEvent.Type.ToolTip, QPoint(9, 9), where))
+    points = window.views.views[PROXIMITY].point_count()
+    assert f"{points:,} points" in QToolTip.text() and "behind" in QToolTip.text() and "Drag" in QToolTip.text()
+    double_click(canvas(window, PROXIMITY))
+    qtbot.waitUntil(lambda: painted(PROXIMITY) and not painted(PATCH))
 
 
 @pytest.mark.parametrize("name", ["proximity", "tactile", "tactile image"])
@@ -165,14 +183,14 @@ def test_a_point_under_the_mouse_marks_its_pixel_in_the_images_and_its_points_in
 
         def pointed(name=name, seen=seen):  # where the point is now: a view that is laid out frames its cloud again
             at = on_canvas(window, name, place_of(window, name, u, v))
-            return seen(at, lambda: window.strip.readout.text().startswith(f"({u}, {v})"))
+            return seen(at, lambda: window.status.readout.text().startswith(f"({u}, {v})"))
 
         qtbot.waitUntil(pointed)
         assert all(pane.cross.isVisible() for pane in window.strip.panes.values())
         for other, view in window.views.views.items():
             np.testing.assert_allclose(view.canvas.mark, place_of(window, other, u, v), atol=2e-3)
         qtbot.waitUntil(lambda: seen(QPoint(3, 3), lambda: {canvas.mark for canvas in canvases} == {None}))  # noqa: B023  # used at once
-        assert window.strip.readout.text() == ""
+        assert window.status.readout.text() == ""
 
 
 def test_a_pixel_in_an_image_marks_its_points_in_the_views(window, qtbot):

@@ -28,7 +28,7 @@ def shown_view(qtbot: QtBot, title: str = "Proximity") -> CloudView:
     palette = view.palette()
     palette.setColor(QPalette.ColorRole.Base, QColor("white"))
     view.setPalette(palette)
-    return shown(qtbot, view, 420, 360)  # type: ignore[no-any-return, no-untyped-call]
+    return shown(qtbot, view, 420, 361)  # type: ignore[no-any-return, no-untyped-call]
 
 
 def canvas_of(view: CloudView) -> QWidget:

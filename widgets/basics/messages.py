@@ -26,8 +26,6 @@ from .layouts import STRETCH, hbox, vbox
 LIMIT = 3
 #: Width of a message, and its distance from the edge of the views, in pixels.
 _WIDTH_PX, _MARGIN_PX, _GAP_PX = 400, 8, 4
-#: Height of the line at the lower edge that stays in sight: the legends of the views.
-_LINE_PX = 20
 #: A note stays for this time and the time to read its characters, in ms.
 NOTE_MS, CHARACTER_MS = 4000, 60
 _SHOWN_OR_HIDDEN = (QEvent.Type.ShowToParent, QEvent.Type.HideToParent)
@@ -258,8 +256,7 @@ class Messages(QWidget):
         newest = list(reversed(self.by_key.values()))
         pinned = [frame for frame in self._pinned if not frame.isHidden()]
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
-        line = 0 if self._room_px else _LINE_PX
-        bottom = self._over.height() - self._free() - 2 * _MARGIN_PX - line
+        bottom = self._over.height() - self._free() - 2 * _MARGIN_PX
         room = self._room_px or bottom
         shown = sorted(newest, key=lambda message: message.rank)[:LIMIT]  # stable: the newest first of each rank
         heights = {frame: _height(frame, width) + _GAP_PX for frame in (*shown, *pinned)}

@@ -61,6 +61,7 @@ QLineEdit, QAbstractSpinBox, QComboBox, QPlainTextEdit, QTextEdit {
     background: $base; border: 1px solid $outline; border-radius: 4px; padding: 0 2px; }
 QLineEdit { lineedit-clear-button-icon: url($icons/close.svg); }
 QComboBox { background: $button; padding: 2px 4px; combobox-popup: 0; }
+QComboBox[plain="true"] { background: $base; border-color: transparent; padding: 0 4px; }
 QComboBox QAbstractItemView { background: $base; selection-background-color: $accent; selection-color: $on_accent; }
 QLineEdit:focus, QAbstractSpinBox:focus, QComboBox:focus { border-color: $focus; }
 QLineEdit:disabled, QAbstractSpinBox:disabled, QComboBox:disabled { border-color: $border; color: $disabled; }

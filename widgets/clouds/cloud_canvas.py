@@ -310,6 +310,7 @@ class CloudCanvas(QWidget):
         self.camera = ViewCamera()
         self.point_size = 2.0  # device-independent pixels
         self.running = False  # frames follow each other
+        self.shows_axes = True
         self.mark: Place | None = None
         self.arrow: Float64Array | None = None  # (2, 3): from and to
         self.readings: tuple[Reading, ...] = ()
@@ -339,7 +340,7 @@ class CloudCanvas(QWidget):
                 target = QRectF(start / ratio, 0, part.width() / ratio, height / ratio)
                 painter.drawImage(target, renderer.picture(cloud, look), part)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        if self.height() > 4 * _AXIS_MARGIN:  # else they would cover the cloud
+        if self.shows_axes and self.height() > 4 * _AXIS_MARGIN:  # else they would cover the cloud
             axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
             painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
         if self.arrow is not None:

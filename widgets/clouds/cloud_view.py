@@ -11,13 +11,14 @@ from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QMouseEvent, QWheelEvent
 from PyQt6.QtWidgets import QWidget
 
+from ...core.errors import counted
 from ...core.model.arrays import Float64Array
 from ..basics.controls import timer
 from ..basics.layouts import vbox
 from ..basics.overlays import Notice, Reading, Wipe
+from ..basics.view_header import ViewHeader
 from .cloud_canvas import CloudCanvas, Place
 from .cloud_data import DepthCloud
-from .cloud_labels import CloudHeader, LegendLine
 from .view_camera import ViewCamera, Viewpoint
 
 #: Distance in pixels within which a point is picked.
@@ -48,7 +49,7 @@ _KEYS: dict[int, Callable[[CloudView], None]] = {
 
 
 class CloudView(QWidget):
-    """Title, number of points, the cloud itself and a legend.
+    """Title, legend and the cloud itself; the tooltip has all colours and the number of points.
 
     Until somebody steers it, the camera frames the cloud by itself, and again whenever the view is resized. One that
     ``inspects`` also reports the point under the mouse, and a double click asks for the large place.
@@ -73,20 +74,19 @@ class CloudView(QWidget):
         self._mouse = QPointF()
         self._hover = timer(self, _HOVER_MS, self._point, once=True)
 
-        self._header = CloudHeader(title)
-        self.legend = LegendLine()
+        self.header = ViewHeader(title)
         self.canvas = CloudCanvas(self)
         self.canvas.setObjectName("canvas")
         self.canvas.resized.connect(self._frame_after_resize)
         self.canvas.grip.dragged.connect(self.wipeDragged)
         self.notice, self.badge = Notice(self.canvas), Notice(self.canvas, warns=True)
-        parts = self._header, (self.canvas, 1), self.legend
-        vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
+        vbox(self.header, (self.canvas, 1), within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
         for widget in (self, self.canvas):
             widget.setMouseTracking(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
-        self.setToolTip(
+        #: Help on mouse and keys, for the tooltip.
+        self.help = (
             "<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom, "
             f"<b>double click</b> to {'swap with the patch' if inspects else 'reset'}.</p>"
             "<p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, "
@@ -95,10 +95,16 @@ class CloudView(QWidget):
 
     # What is shown
 
+    def set_large(self, large: bool) -> None:
+        """Show legend and axes, or leave them to the large view beside this one."""
+        self.header.show_legend(large)
+        self.canvas.shows_axes = large
+        self.canvas.update()
+
     def set_cloud(self, cloud: DepthCloud | None) -> None:
         arrives = cloud is not None and self.canvas.cloud is None
         self.canvas.cloud = cloud
-        self._show_count()
+        self._show_notice()
         if arrives and not self._steered:
             self.fit()
         self.canvas.update()
@@ -110,7 +116,7 @@ class CloudView(QWidget):
     def set_right(self, cloud: DepthCloud | None, message: str = "") -> None:
         """Show another cloud right of the wipe; ``message`` says why it has no points."""
         self.canvas.right, self._right_message = cloud, message
-        self._show_count()
+        self._show_notice()
         self.canvas.update()
 
     def set_wipe(self, wipe: Wipe | None) -> None:
@@ -120,7 +126,7 @@ class CloudView(QWidget):
         self.canvas.grip.wipe = wipe
         if wipe is None:
             self.canvas.right, self._right_message = None, ""
-        self._show_count()
+        self._show_notice()
         self.canvas.update()
 
     def point_count(self) -> int:
@@ -143,7 +149,7 @@ class CloudView(QWidget):
         """Set what `notice` says while there are no points."""
         if message != self._message:
             self._message = message
-            self._show_count()
+            self._show_notice()
 
     def set_mark(self, mark: Place | None) -> None:
         """Mark a place of the view's frame, metres, or none."""
@@ -163,8 +169,7 @@ class CloudView(QWidget):
             self.canvas.readings = readings
             self.canvas.update()
 
-    def _show_count(self) -> None:
-        self._header.set_count(self.point_count())
+    def _show_notice(self) -> None:
         wipe = self.canvas.grip.wipe
         share = 1.0 if wipe is None else wipe.share
         sides = [(self.canvas.cloud, self._message)] if share > 0 else []
@@ -262,10 +267,12 @@ class CloudView(QWidget):
             self.fit()
 
     def event(self, event: QEvent | None) -> bool:
-        """Claim the keys of this view before shortcuts of the application."""
+        """Claim the keys of this view before shortcuts of the application; write the tooltip when it is asked for."""
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and self._knows(event):
             event.accept()
             return True
+        if event is not None and event.type() == QEvent.Type.ToolTip:
+            self.setToolTip(f"{self.header.legend_tip()}<p>{counted(self.point_count(), 'point')}</p>{self.help}")
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:

@@ -12,10 +12,9 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
 from ..basics.colormaps import Legend
-from ..basics.controls import ElidedLabel
 from ..basics.layouts import vbox
 from ..basics.overlays import Notice, Wipe, WipeGrip, paint_wipe
-from ..clouds.cloud_labels import LegendLine
+from ..basics.view_header import ViewHeader
 
 #: Columns and rows that each arrow key moves, and the factor of each zoom key.
 ARROW_KEYS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
@@ -103,7 +102,7 @@ class _View(pg.GraphicsView):  # type: ignore[misc]
 
 
 class ImagePane(QWidget):
-    """A titled image with a legend."""
+    """A titled image; its tooltip has the legend, which stands beside the title if it is enlarged."""
 
     hovered = pyqtSignal(int, int)  # the pixel under the mouse; -1, -1 outside the image
     clicked = pyqtSignal(int, int, object)  # u, v, modifiers
@@ -116,8 +115,7 @@ class ImagePane(QWidget):
     def __init__(self, title: str) -> None:
         super().__init__()
         self._size = (640, 480)
-        self.title, self.legend = ElidedLabel(title), LegendLine()
-        self.legend.hide()
+        self.header = ViewHeader(title)
         self.view = _View()
         self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.view.setAccessibleName(title)
@@ -133,7 +131,7 @@ class ImagePane(QWidget):
         self.box.addItem(self.cross, ignoreBounds=True)
         self.notice, self.badge = Notice(self.view), Notice(self.view, warns=True)
 
-        vbox(self.title, self.legend, (self.view, 1), within=self, margins=0, spacing=0)
+        vbox(self.header, (self.view, 1), within=self, margins=0, spacing=0)
 
         self.view.scene().sigMouseMoved.connect(self._moved)
         self.view.scene().sigMouseClicked.connect(self._clicked)
@@ -153,9 +151,8 @@ class ImagePane(QWidget):
         self.view.viewport().update()
 
     def set_legend(self, entries: Legend) -> None:
-        self.legend.setVisible(bool(entries))
-        self.legend.setValue(entries)
-        self.legend.set_height(self.legend.needed_height())
+        self.header.set_entries(entries)
+        self.view.setToolTip(self.header.legend_tip())
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the visible width between two images, or show only one."""

@@ -7,10 +7,9 @@ from PyQt6.QtGui import QColor, QKeyEvent, QPalette, QResizeEvent
 from PyQt6.QtWidgets import QFrame, QGridLayout, QPushButton, QSizePolicy, QTabBar, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_legend, difference_legend
-from ..basics.controls import ElidedLabel, wrapped_label
+from ..basics.controls import wrapped_label
 from ..basics.layouts import hbox, vbox
 from ..basics.overlays import Wipe
-from ..clouds.cloud_labels import level
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Rectangle, moved_by_arrow
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip
@@ -39,7 +38,7 @@ class _Banner(QFrame):
         self.done = QPushButton("Done")
         self.done.setToolTip("End picking (Esc)")
         self.done.setAutoDefault(False)
-        hbox((self.text, 1), self.done, within=self, margins=(8, 4, 4, 4))
+        hbox((self.text, 1), self.done, within=self, margins=(8, 0, 0, 0))  # no higher than the tabs, which it covers
         self.setFrameShape(QFrame.Shape.Box)
         self.setAutoFillBackground(True)
         self.setBackgroundRole(QPalette.ColorRole.ToolTipBase)
@@ -73,7 +72,6 @@ class ImageStrip(QWidget):
         super().__init__()
         self.panes = {name: ImagePane(title) for name, title in PANES.items()}
         self.regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
-        self.readout = ElidedLabel(lines=2)
         self._size = (640, 480)
         self._pixel = (-1, -1)
         self._legend_key: tuple[object, ...] = ()
@@ -91,15 +89,15 @@ class ImageStrip(QWidget):
         self.tabs.setExpanding(False)
         self.tabs.setUsesScrollButtons(False)
         self._enlarged = ""
-        grid = QGridLayout()
-        grid.setSpacing(4)
+        self._grid = QGridLayout()
+        self._grid.setSpacing(4)
         for index, (name, pane) in enumerate(self.panes.items()):
             self.tabs.addTab(TABS[name])
             self.tabs.setTabToolTip(index, PANES[name])
-            grid.addWidget(pane, index // 2, index % 2)
+            self._grid.addWidget(pane, index // 2, index % 2)
             self._connect_pane(name, pane)
         self.tabs.currentChanged.connect(lambda _: self.show_panes())
-        vbox(self.tabs, (grid, 1), self.readout, within=self, margins=0, spacing=4)
+        vbox(self.tabs, (self._grid, 1), within=self, margins=0, spacing=4)
         self.banner = _Banner(self)
         self.banner.done.clicked.connect(self.pickingDone)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -136,7 +134,7 @@ class ImageStrip(QWidget):
     def set_two_cameras(self, two: bool) -> None:
         if two != self._two_cameras:
             self._two_cameras = two
-            self.panes["tactile"].title.setText(PANES["tactile"] if two else "Tactile depth")
+            self.panes["tactile"].header.set_title(PANES["tactile"] if two else "Tactile depth")
             self.show_panes()
 
     def choose(self, name: str) -> None:
@@ -159,7 +157,12 @@ class ImageStrip(QWidget):
         self.tabs.setVisible(not every and not self._enlarged)
         for name, pane in self.panes.items():
             pane.setVisible(name in shown)
-            pane.title.setVisible(self.tabs.isHidden())
+            pane.header.setVisible(self.tabs.isHidden())
+            pane.header.show_legend(bool(self._enlarged))
+        rows, columns = zip(*(divmod(list(self.panes).index(name), 2) for name in shown), strict=True)
+        for place in (0, 1):  # those shown share the room alike
+            self._grid.setRowStretch(place, int(place in rows))
+            self._grid.setColumnStretch(place, int(place in columns))
         self._check_hint()
 
     def set_badge(self, text: str) -> None:
@@ -250,11 +253,10 @@ class ImageStrip(QWidget):
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
         self.show_panes()
-        self._fit_legends()
         self._place_banner()
 
     def _place_banner(self) -> None:
-        """Put the banner over the other images, or over tabs and legend of the only one."""
+        """Put the banner over the other images, or over the tabs of the only one."""
         color = self.panes["color"].geometry()
         left = color.right() + 4 if self.tabs.isHidden() and color.right() < self.width() / 2 else 0
         self.banner.place(left, self.width() - left)
@@ -287,7 +289,3 @@ class ImageStrip(QWidget):
         self.panes["proximity"].set_legend(depth)
         self.panes["tactile"].set_legend(depth)
         self.panes["difference"].set_legend(difference_legend(rendered.tolerance, rendered.difference_limit))
-        self._fit_legends()
-
-    def _fit_legends(self) -> None:
-        level([pane.legend for pane in self.panes.values()])

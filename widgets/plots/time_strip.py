@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QKeyEvent, QMouseEvent
+from PyQt6.QtGui import QColor, QKeyEvent, QMouseEvent
 from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
 from ...core.model.arrays import BoolArray, Float64Array
-from ..basics.controls import ChoiceBox, action_button, named
+from ..basics.controls import ChoiceBox, named
 from ..basics.fields import format_number
-from ..basics.layouts import STRETCH, hbox, vbox
-from ..basics.theme import ThemeColors
+from ..basics.layouts import vbox
+from ..basics.theme import ThemeColors, text_font
 from .plot import Plot
 
 
@@ -62,6 +62,8 @@ CURVES: Final = (
 #: Time that a live source shows, seconds.
 LIVE_S: Final = 60.0
 _HEIGHT = 72
+#: Width of the axis, and height of the line over the plot with the curve's name and the value under the mouse, pixels.
+_AXIS_PX, _TOP_PX = 44, 18
 #: Frames that a key goes on, as in a slider.
 _STEPS: Final[dict[int, int]] = {
     Qt.Key.Key_Left: -1,
@@ -141,14 +143,17 @@ class TimeStrip(QWidget):
         self.curve_box = self._make_curve_box()
         self.plot_widget = _StripPlot(self)
         self._make_plot()
-        self._buttons = hbox((self.curve_box, 1), 4, spacing=0)
-        self._side = vbox(self._buttons, STRETCH, spacing=4)
-        hbox(self._side, (self.plot_widget, 1), within=self, margins=(4, 0, 4, 0), spacing=4)
+        vbox(self.plot_widget, within=self, margins=0)
+        self.curve_box.setParent(self.plot_widget)
+        self.curve_box.move(_AXIS_PX, 0)
+        self._fit_curve_box()
         self.plot_widget.follow_theme(self._recolor)
         self._place_marks()
 
     def _make_curve_box(self) -> ChoiceBox:
         box = named(ChoiceBox(), "Curve of the time strip", "What the time strip shows")
+        box.setProperty("plain", True)
+        box.setFont(text_font("caption"))
         for number, curve in enumerate(CURVES):
             box.addItem(f"{curve.title}, {curve.unit}" if curve.unit else curve.title, curve.key)
             box.setItemData(number, curve.tip, Qt.ItemDataRole.ToolTipRole)
@@ -163,8 +168,8 @@ class TimeStrip(QWidget):
         named(view, "Time strip", f"{tip}Keys: arrows, page up and down, home and end.")
         plot = self._plot = view.getPlotItem()
         plot.setMouseEnabled(x=True, y=False)
-        plot.setContentsMargins(0, 4, 8, 0)
-        plot.getAxis("left").setWidth(44)
+        plot.setContentsMargins(0, _TOP_PX, 8, 0)
+        plot.getAxis("left").setWidth(_AXIS_PX)
         plot.getAxis("left").setTickDensity(0.5)
         plot.getAxis("bottom").setHeight(17)
         self._box = plot.getViewBox()
@@ -175,13 +180,7 @@ class TimeStrip(QWidget):
         self._text.setParentItem(self._box)
         for item in (*self._outside, self._line, self._cursor):
             plot.addItem(item, ignoreBounds=True)
-        self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -3))
-
-    def add_controls(self, transport: QWidget, actions: Sequence[QAction]) -> None:
-        """Put the buttons of playback and those of some actions beside the plot."""
-        self._side.insertWidget(0, transport)
-        for action in actions:
-            self._buttons.addWidget(action_button(action))
+        self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -_TOP_PX - 3))
 
     @property
     def curve(self) -> Curve:
@@ -245,9 +244,13 @@ class TimeStrip(QWidget):
         self._box.setLimits(xMin=0.0, xMax=end_s, minXRange=shortest_s, maxXRange=end_s)
 
     def _choose(self) -> None:
+        self._fit_curve_box()
         self._draw()
         self.show_words()
         self.curveChosen.emit(self.curve.key)
+
+    def _fit_curve_box(self) -> None:
+        self.curve_box.setFixedWidth(self.curve_box.fontMetrics().horizontalAdvance(self.curve_box.currentText()) + 28)
 
     def _draw(self) -> None:
         curve = self.curve

@@ -74,7 +74,7 @@ def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, sou
     qtbot.waitUntil(lambda: tab.tracked is not None)
     assert tab.track_button.isChecked()
     assert tab.scene.point_count() == drawn, "the model counts no points of the patch"
-    assert [name for name, _ in tab.scene.legend.entries][:2] == ["patch", "model"]
+    assert [name for name, _ in tab.scene.header.entries][:2] == ["patch", "model"]
     assert tab.tracked.error.position_m < 0.002 and tab.tracked.error.angle_rad < np.radians(2.0)
     for index in (PRESSED + 1, PRESSED - 1):
         tab.main.worker.seek(index)
@@ -153,7 +153,7 @@ def test_shows_the_angles(qtbot, window):
     alone = tab.shown[1]
     assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
     assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
-    assert [name for name, _ in tab.cloud.legend.entries] == ["patch", "fitted plane"]
+    assert [name for name, _ in tab.cloud.header.entries] == ["patch", "fitted plane"]
     assert "noise" in tab.status.text()  # that of the rig was not measured
 
 
