@@ -1,4 +1,4 @@
-"""The findings on the present frame: in a rail of their own, at their fields, and in the empty patch view."""
+"""The findings on the present frame and rig: in a rail of their own, at their fields, and in the empty patch view."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .view_area import ViewArea
 #: A finding that is gone stays on the screen for this long, milliseconds: it may come back with the next frame.
 LINGER_MS = 1000
 
-#: Height of the rail, pixels.
+#: Smallest height of the rail, pixels.
 RAIL_PX = 112
 
 _NOTHING = "Nothing is wrong with this frame."
@@ -40,7 +40,7 @@ class ShownFinding:
 
 
 class FindingsRail(QWidget):
-    """Lists the findings in a place of fixed height; ``mend`` is called with the one whose button was pressed."""
+    """Lists the findings in a place of their own; ``mend`` is called with the one whose button was pressed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class FindingsRail(QWidget):
         vbox(self._cards, STRETCH, within=content, margins=0)
         self._area = scrolling(content)
         vbox(self.title, (self._area, 1), within=self, margins=(8, 4, 8, 4), spacing=4)
-        self.setFixedHeight(RAIL_PX)
+        self.setMinimumHeight(RAIL_PX)
         self.setAccessibleName("Findings")
         self.show_findings((), examined=False)
 
@@ -94,6 +94,7 @@ class FindingsControl(QObject):
         self._view = views.views[CloudName.PATCH]
         self._shown: dict[str, Finding] = {}
         self._present: dict[str, Finding] = {}
+        self._warnings: tuple[str, ...] = ()  # on the rig, of the frame on the screen
         self._preset: Preset | None = None
         self._judged = False
         self._offered: Finding | None = None
@@ -101,7 +102,7 @@ class FindingsControl(QObject):
         self._timer = timer(self, LINGER_MS, self._drop_gone, once=True)
         context.worker.examined.connect(self._found)
         context.worker.opened.connect(lambda _: self._forget())
-        context.frameShown.connect(self._explain_empty)
+        context.frameShown.connect(self._follow_frame)
         offer = self._view.notice.button
         offer.clicked.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
 
@@ -145,8 +146,16 @@ class FindingsControl(QObject):
         self._shown = dict(self._present)
         self._show()
 
+    def _follow_frame(self) -> None:
+        result = self._context.result
+        if result is not None and result.warnings != self._warnings:
+            self._warnings = result.warnings
+            self._show()
+        else:
+            self._explain_empty()
+
     def _forget(self) -> None:
-        self._shown, self._present, self._preset = {}, {}, None
+        self._shown, self._present, self._preset, self._warnings = {}, {}, None, ()
         self._show()
 
     def _show(self) -> None:
@@ -154,6 +163,7 @@ class FindingsControl(QObject):
         rows: dict[str, str] = {}
         for finding, shown in findings:  # the first of a field: causes come before consequences
             rows.setdefault(finding.field, shown.sentence)
+        findings = [(Finding("rig", "", said), ShownFinding(said)) for said in self._warnings] + findings
         self._panel.show_findings(rows)
         result = self._context.result
         self._judged = self._preset is not None and result is not None and result.patch is not None
@@ -170,8 +180,9 @@ class FindingsControl(QObject):
         explaining = next((finding for finding in self._shown.values() if finding.explains_empty), None)
         if explaining is not None:
             self._view.set_message(explaining.sentence)
-            self._context.messages.clear("problem")  # it says the same, without a remedy
             self._offered = explaining
+        elif result.problem and result.rendered.clouds.get(CloudName.TACTILE, ...) is None:
+            self._offered = Finding("no_pose", "", result.problem, action="calibrate")
         elif result.rendered.no_contact_action:
             rendered = result.rendered
             self._offered = Finding("no_contact", "", rendered.no_contact, action=rendered.no_contact_action)

@@ -1,4 +1,4 @@
-"""Shows processed frames in the widgets: clouds, images, numbers, warnings, and badges over old images."""
+"""Shows processed frames in the widgets: clouds, images, numbers, problems, and badges over old images."""
 
 from __future__ import annotations
 
@@ -106,13 +106,13 @@ class FramePresenter(QObject):
         self._transport, self._status, self._messages = transport, status, context.messages
         self._pixel = (-1, -1)
         self._pace = Pace(INTERVAL_S)
-        self._shown_warnings: tuple[str, ...] = ()
+        self._shown_problem = ""
         self._share = 0.5
         strip.hovered.connect(self._hovered)
 
     def forget(self) -> None:
         self._context.result = None
-        self._shown_warnings = ()
+        self._shown_problem = ""
         self.show_state(SourceState())
 
     def show_state(self, state: SourceState) -> None:
@@ -149,7 +149,7 @@ class FramePresenter(QObject):
                 self._panel.show_masked_share(strip.masked_share)
             self._show_readout()
             self._transport.show_state(result.playback)
-        self._show_warnings(result)
+        self._show_problem(result)
 
     def set_wipe_share(self, share: float) -> None:
         """Move the wipe between two compared presets: 1 shows only A, 0 only B."""
@@ -165,14 +165,12 @@ class FramePresenter(QObject):
             return None
         return Wipe(self._share, f"A: {compared.a.side.name}", f"B: {compared.b.side.name}")
 
-    def _show_warnings(self, result: Result) -> None:
-        """Show problems and warnings once; a dismissed sentence comes back only after a change."""
-        said = (result.problem, *result.warnings)
-        if said == self._shown_warnings:
-            return
-        self._shown_warnings = said
-        self._messages.state("problem", Severity.ERROR, result.problem, SOURCE)
-        self._messages.state("rig", Severity.WARNING, " ".join(result.warnings), SOURCE)
+    def _show_problem(self, result: Result) -> None:
+        """Show a problem once, unless the patch view says it; a dismissed one comes back only after a change."""
+        problem = result.problem if self._views.views[CloudName.PATCH].isHidden() else ""
+        if problem != self._shown_problem:
+            self._shown_problem = problem
+            self._messages.state("problem", Severity.ERROR, problem, SOURCE)
 
     def _hovered(self, u: int, v: int) -> None:
         self._pixel = u, v

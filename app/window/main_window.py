@@ -69,7 +69,7 @@ _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 #: The actions whose state is remembered between starts.
 _TOGGLES = ("watch_drift", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 #: The actions whose keys work in the analysis window too.
-_SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop")
+_SHARED_ACTIONS = ("undo", "redo", "capture_untouched", "measure_noise", "previous", "next", "first", "loop")
 _COLLAPSED_AT_FIRST = "alignment,range,region"
 
 
@@ -164,7 +164,7 @@ class MainWindow(QMainWindow):
         self._compared.hide()
         # no box layout, which would take as much from the fields that differ as from the longer column
         column = splitter(Qt.Orientation.Vertical, (self._compared, 2), (self.modes, 1), sizes=(20_000, 10_000))
-        vbox((column, 1), self.rail, within=self.beside, margins=0, spacing=4)
+        vbox((column, 4), (self.rail, 1), within=self.beside, margins=0, spacing=4)
         self.beside.setFixedWidth(COLUMN_PX)
         self.search = Search(self._found_by_name, self.views.setFocus)
         self.mode_bar = ModeBar(self.actions_, self.menus.preset, self.search)

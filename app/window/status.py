@@ -21,25 +21,25 @@ _UNKNOWN = "–"
 
 
 def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
-    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate."""
+    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate; none without a patch."""
     patch, doubt = result.patch, result.doubt
-    area = touches = boundary = centroid = _UNKNOWN
-    if patch is not None:
-        area = f"{result.area_mm2:,.0f} mm²"
-        if patch.centroid_m is not None:
-            x, y, z = (1e3 * value for value in patch.centroid_m)
-            centroid = minus(f"{x:z.0f}, {y:z.0f}, {z:z.0f}")
+    if patch is None:
+        return ()
+    touches = boundary = centroid = _UNKNOWN
+    if patch.centroid_m is not None:
+        x, y, z = (1e3 * value for value in patch.centroid_m)
+        centroid = minus(f"{x:z.0f}, {y:z.0f}, {z:z.0f}")
     if doubt is not None and result.area_mm2 > 0:
         touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
         if math.isfinite(doubt.boundary_error_mm):
             boundary = f"±{doubt.boundary_error_mm:.1f} mm"
     force = []
-    if patch is not None and patch.pressure is not None:
+    if patch.pressure is not None:
         names = ("force over inflation", "00,000 ± 0,000 mm²") if patch.force_n is None else ("force", "00.00 ± 0.00 N")
         force = [Reading((result.area_mm2 > 0 and patch.pressure.words()) or _UNKNOWN, *names)]
     rate = [Reading(f"{shown_fps:.0f} fps", "frame rate", "00 fps")] if result.playback.playing else []
     return (
-        Reading(area, "area", "00,000 mm²"),
+        Reading(f"{result.area_mm2:,.0f} mm²", "area", "00,000 mm²"),
         Reading(touches, "touches", "100 %"),
         Reading(boundary, "boundary", "±00.0 mm"),
         *force,

@@ -45,7 +45,7 @@ _PATCH_SHARE = (0.45, 0.55)
 #: Share of a view that the patch takes after *Zoom to patch*.
 _PATCH_FILL = 0.6
 _NO_DEPTH = "This camera measured no depth in this frame"
-_NO_POSE = "The pose is not known: calibrate (Ctrl+K)"
+_NO_POSE = "Its pose is not known"
 _READINGS_TIP = "<p><b>touches</b>: how likely the membrane touches; <b>boundary</b>: expected error of its place.</p>"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch, hatched where doubtful",
@@ -246,7 +246,7 @@ class ViewArea(QWidget):
         view = self.views[name]
         view.set_cloud(cloud)
         view.set_message(message)
-        view.header.set_entries(legend)
+        view.header.set_entries(legend if cloud is not None else [])
 
     def _show_large(self) -> None:
         """Let the large view alone show legend and axes; the others have the same colours and directions."""

@@ -55,6 +55,12 @@ def test_a_key_opens_the_window_on_its_tab_with_the_present_frame(qtbot, window)
     assert analysis.isVisible() and not analysis.isModal()
     assert list(analysis.made) == ["compare"]
     assert analysis.made["compare"].sequences[-1] == 3
+    preset = window.document.preset
+    window.document.edit("tolerance.t", 0.04)
+    QTest.keyClick(analysis, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert window.document.preset == preset
+    QTest.keyClick(analysis, Qt.Key.Key_F6)
+    qtbot.waitUntil(lambda: window.modes.mode == "set_up" and window.isActiveWindow())
 
 
 def test_only_the_visible_tab_takes_frames_and_a_closed_window_none(qtbot, window):

@@ -85,6 +85,16 @@ def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
     assert not [each for each in view.findChildren(QPushButton) if each.isVisible()]
 
 
+def test_a_pose_that_is_not_known_is_told_once_with_the_button_that_calibrates(window, qtbot):
+    rig = RIG.model_copy(update={"T_proximity_tactile": None})
+    show_source(qtbot, window, FakeSource(rig=rig, make=disagreeing_frame, name="no pose"), 3)
+    view = window.views.views[CloudName.PATCH]
+    qtbot.waitUntil(lambda: "pose of the tactile camera is not known" in view.notice.text())
+    assert window.messages.sentences() == [] and view.header.entries == []
+    QTest.mouseClick(button(view, "Calibrate"), LEFT)
+    qtbot.waitUntil(lambda: window.calibration.wizard is not None and window.calibration.wizard.isVisible())
+
+
 def hovering_frame(index, rig):
     """An object whose gap to a bulged membrane is 1.3 mm."""
     height, width = rig.proximity.intrinsics.shape

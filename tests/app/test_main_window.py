@@ -88,25 +88,27 @@ def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
     assert window.views.point_size.value() == 2
 
 
-def test_another_rig_warns_once_and_can_be_put_away(window, qtbot, preset):
+def test_the_warning_of_another_rig_stands_among_the_findings(window, qtbot, preset):
     window.document.new(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
     show_source(qtbot, window, FakeSource(length=4))
-    qtbot.waitUntil(lambda: window.messages.by_key.get("rig") is not None)
-    assert "p9" in window.messages.by_key["rig"].sentence
-    window.messages.clear("rig")
-    processed = window.result.processed
-    qtbot.waitUntil(lambda: window.result.processed > processed + 2)
-    assert window.messages.by_key.get("rig") is None
+    qtbot.waitUntil(lambda: "p9" in text_of(window.rail))
+    assert window.messages.sentences() == [], "nothing covers the findings"
+    show_source(qtbot, window, FakeSource(length=4, rig=tiny_rig(serial="9")))
+    qtbot.waitUntil(lambda: "p9" not in text_of(window.rail))
 
 
 def test_a_preset_of_another_size_says_so_and_shows_the_cameras(window, qtbot, preset):
     window.document.new(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
     show_source(qtbot, window, FakeSource(length=1))
-    assert "32 x 24" in window.messages.by_key["problem"].sentence
+    patch = window.views.views[CloudName.PATCH]
+    assert "32 x 24" in patch.notice.text() and window.messages.sentences() == []
+    QTest.keyClick(window, Qt.Key.Key_3, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: not patch.isVisible() and "problem" in window.messages.by_key)
+    QTest.keyClick(window, Qt.Key.Key_3, Qt.KeyboardModifier.AltModifier)
     assert window.views.views[CloudName.PROXIMITY].point_count() > 0
     window.document.new(preset)
     qtbot.waitUntil(lambda: window.result.patch is not None)
-    assert window.messages.by_key.get("problem") is None
+    qtbot.waitUntil(lambda: window.messages.by_key.get("problem") is None)
 
 
 def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbot):

@@ -140,7 +140,7 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     assert not finder.columns.isVisible()
     QTest.keyClick(finder.target, Qt.Key.Key_Down)
     assert finder.columns.isVisible()
-    assert wizard.undo.toolTip() == "Undo Look for: Chessboard"
+    assert wizard.undo.toolTip() == "Undo Look for: Chessboard (Ctrl+Z)"
     finder.columns.setValue(10)
     finder.rows.setValue(7)
     QTest.mouseClick(finder.search, LEFT)
@@ -151,7 +151,7 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     QTest.mouseClick(finder.search, LEFT)
     qtbot.waitUntil(lambda: "70 of them were pairs already" in finder.words.text())
 
-    assert wizard.undo.toolTip() == "Undo Find 70 pairs"
+    assert wizard.undo.toolTip() == "Undo Find 70 pairs (Ctrl+Z)"
     QTest.mouseClick(wizard.undo, LEFT)
     assert not wizard.session.state.pairs
     while wizard.undo.isEnabled():
@@ -193,7 +193,7 @@ def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
     QTest.mouseClick(wizard.frames.remove, LEFT)
     left = wizard.session.state
     assert {left.snapshot_of(pair) for pair in left.pairs} == {kept} and taken not in left.snapshots
-    assert wizard.undo.toolTip() == "Undo Remove a snapshot"
+    assert wizard.undo.toolTip() == "Undo Remove a snapshot (Ctrl+Z)"
     for _ in range(3):
         QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert wizard.session.state == before
