@@ -131,6 +131,8 @@ _OVERSHOT: Final = 1e3
 #: Shortest step, as a share of the step that the start's stiffness allows.
 _SHORTEST_SHARE: Final = 0.05
 _MAX_ITERATIONS: Final = 6000
+#: Steps of the descent in which a node that sticks may come off before it slides.
+_PATIENCE: Final = 400
 
 
 @dataclass(frozen=True)
@@ -171,10 +173,19 @@ class _Object(NamedTuple):
 
 
 class _Grips(NamedTuple):
-    """Where nodes stick to the object: point and normal there, (N, 3); NaN for nodes that slide."""
+    """Where nodes stick to the object: point and normal there, (N, 3); NaN for nodes that slide.
+
+    A node that has come off in as many steps as its patience, (N,), slides from then on: one that sticks and comes off
+    in turn would never be in balance.
+    """
 
     point: Float64Array
     normal: Float64Array
+    patience: Int32Array
+
+    @classmethod
+    def of(cls, point: Float64Array) -> _Grips:
+        return cls(point, np.full_like(point, np.nan), np.full(len(point), _PATIENCE, np.int32))
 
 
 class _Clearance(NamedTuple):
@@ -266,7 +277,11 @@ def _stick(nodes: Float64Array, n: int, grips: _Grips) -> bool:
         away += (nodes[n, k] - grips.point[n, k]) * grips.normal[n, k]
     if away <= 0.0:
         _copy_node(grips.point, n, nodes)
-    return away <= 0.0
+        return True
+    grips.patience[n] -= 1
+    if grips.patience[n] == 0:
+        grips.point[n, 0] = np.nan
+    return False
 
 
 @compiled
@@ -425,7 +440,7 @@ class Membrane:
         """
         nodes = self.rest.nodes if start is None else start
         thing = _Object(kind, pose, self.mesh.relief_m)
-        grips = _Grips(np.full_like(nodes, np.nan) if held is None else held.copy(), np.full_like(nodes, np.nan))
+        grips = _Grips.of(np.full_like(nodes, np.nan) if held is None else held.copy())
         sticks = ~np.isnan(grips.point[:, 0])
         grips.normal[sticks] = _lay(thing, grips.point, sticks)
         return self._solve(thing, nodes, grips, tolerance or self.tolerance, _MAX_ITERATIONS)
@@ -442,8 +457,7 @@ class Membrane:
         while True:
             step = share / self._curvature(nodes)
             residual, reaction, gap = _relax(nodes, sheet, thing, grips, step, tolerance, limit)
-            # Compressed triangles are stiffer than at the start: too long a step overshoots for good. A residual that
-            # stays above the tolerance is a node that sticks and comes off in turn; shorter steps do not end that.
+            # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
             if np.isfinite(residual) or share < _SHORTEST_SHARE:
                 break
             share /= 2
@@ -477,7 +491,7 @@ class Membrane:
             amounts = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)]
         errors: list[float] = []
         nothing = _Object(NO_OBJECT, np.zeros((3, 4)), self.mesh.relief_m)
-        no_grips = _Grips(np.full_like(nodes, np.nan), np.full_like(nodes, np.nan))
+        no_grips = _Grips.of(np.full_like(nodes, np.nan))
         for _ in range(12):
             self._gas_joule = amounts[len(errors)]
             state = self._solve(nothing, nodes, no_grips, self.tolerance / 10, 20_000)
