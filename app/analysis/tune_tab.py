@@ -56,8 +56,10 @@ _LIVE = "A live source is never the same twice: record it first, then open the r
 _PANEL_WIDTH = 300
 #: Exit status after a stop by the person.
 _STOPPED = 130
-#: Longest wait for the killed process when the window closes, ms; at its low priority it ends seconds later.
-_END_MS = 30_000
+#: Longest wait for the killed process when the window closes, ms; at its low priority it may end later.
+_END_MS = 3_000
+#: Killed processes that had not ended by then: Qt would wait for them when it deletes them.
+_ending: list[QProcess] = []
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,9 @@ class TuneRun(QObject):
         self.blockSignals(True)
         if self._process is not None:
             self._process.kill()
-            self._process.waitForFinished(_END_MS)
+            if not self._process.waitForFinished(_END_MS):
+                self._process.setParent(None)
+                _ending.append(self._process)
             self._process = None
 
     def _read(self) -> None:

@@ -82,8 +82,9 @@ class CalibrationWizard(QDialog):
             buttons.append(button)
         self.over = push_button("Start o&ver", "Clear the wizard; undo restores everything until it is closed")
         stack = self.session.undo_stack
-        self.undo = self._step_button(stack.createUndoAction(self), stack.undoTextChanged, "Undo", "Ctrl+Z")
-        self.redo = self._step_button(stack.createRedoAction(self), stack.redoTextChanged, "Redo", "Ctrl+Shift+Z", "Ctrl+Y")
+        self.undo = self._step_button("Undo", stack.createUndoAction(self), stack.undoTextChanged, "Ctrl+Z")
+        again = "Ctrl+Shift+Z", "Ctrl+Y"
+        self.redo = self._step_button("Redo", stack.createRedoAction(self), stack.redoTextChanged, *again)
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
@@ -104,8 +105,8 @@ class CalibrationWizard(QDialog):
         footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
         vbox(top, (area, 1), footer, within=self, margins=8, spacing=4)
 
-    def _step_button(self, action: QAction | None, renamed: pyqtBoundSignal, name: str, *keys: str) -> QToolButton:
-        """Return the button of an action of the undo stack, whose text says in the tooltip what it would do, with its key."""
+    def _step_button(self, name: str, action: QAction | None, renamed: pyqtBoundSignal, *keys: str) -> QToolButton:
+        """Return the button of an action of the undo stack, whose tooltip says what it would do, with its key."""
         assert action is not None
         action.setIconText(name)
         action.setShortcuts([QKeySequence(each) for each in keys])

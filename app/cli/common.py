@@ -5,9 +5,11 @@ Everything heavy is imported inside the functions, since ``tactune --help`` impo
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +35,8 @@ SOURCE = "sim"
 INTERRUPTED_STATUS = 130
 #: Number of frames of the untouched membrane that are averaged.
 AVERAGED = 15
+#: Signals that come within this time are one, seconds.
+_ONE_PRESS_S = 1.0
 #: Interval at which a command that waits for a live source checks for Ctrl+C, seconds.
 WAIT_S = 0.2
 
@@ -178,8 +182,11 @@ class CliProgress(Progress):
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second ends the program as usual."""
-    stopped = threading.Event()
+    """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second ends the program as usual.
+
+    One that follows at once is part of the first: its exception could leave a lock taken while everything closes.
+    """
+    stopped, first_s = threading.Event(), math.inf
     ends = [signal.SIGINT, signal.SIGTERM]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # nohup goes on
         ends.append(signal.SIGHUP)
@@ -189,9 +196,14 @@ def stop_on_signals() -> Iterator[threading.Event]:
         for number, handler in usual.items():
             signal.signal(number, handler)
 
-    def press(*_: object) -> None:
-        stopped.set()
-        restore()
+    def press(number: int, _: object) -> None:
+        nonlocal first_s
+        if not stopped.is_set():
+            first_s = time.monotonic()
+            stopped.set()
+        elif time.monotonic() - first_s > _ONE_PRESS_S:
+            restore()
+            signal.raise_signal(number)
 
     for number in ends:
         signal.signal(number, press)

@@ -73,6 +73,12 @@ EstimateOption = Annotated[
 ]
 
 
+def _place(text: str) -> Path:
+    if not text:
+        raise typer.BadParameter("it is empty; name a folder, . for this one, or a file that ends in .mcap")
+    return Path(text)
+
+
 def run(
     *,
     source: SourceOption = SOURCE,
@@ -81,7 +87,9 @@ def run(
     frames: FrameCount = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR|FILE.mcap", help="A folder for .npz files, or a ROS 2 bag."),
+        typer.Option(
+            "--out", "-o", parser=_place, metavar="DIR|FILE.mcap", help="A folder for .npz files, or a ROS 2 bag."
+        ),
     ] = None,
     json_lines: Annotated[
         bool, typer.Option("--json", help="Print a line of JSON for each frame; no summary.")

@@ -80,6 +80,8 @@ def serve(
     from ...core.output.connections import Connections
     from ...core.output.publisher import Publisher
 
+    if unit is not None and mesh is None:
+        raise typer.BadParameter("--unit is the unit of --mesh; add it")
     if layout is not None:
         from ...core.output.foxglove import save_layout
 

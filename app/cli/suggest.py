@@ -99,19 +99,16 @@ def findings(
     The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
     """
     chosen, origin = chosen_preset(preset, source)
-    with open_with_progress(source, chosen) as opened:
+    with open_with_progress(source, chosen, compiles=True) as opened:
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
         from ...core.rig.untouched import kept_untouched
         from ...core.tuning.advice.findings import Examiner, unusable_test
-        from ...core.warmup import warm_up_if_needed
 
         untouched = usable(kept_untouched(chosen, origin, opened))
         unusable = unusable_test(chosen, opened.rig, untouched)
         if unusable is not None:
             found: tuple[Finding, ...] = (unusable,)
         else:
-            with CliProgress() as progress:
-                warm_up_if_needed(progress.preparing, chosen)
             pipeline, frames = ContactPipeline(chosen, opened.rig, untouched), _recent_frames(opened, frame)
             patches = [pipeline.process(each) for each in frames]
             found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, untouched)

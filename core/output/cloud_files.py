@@ -63,4 +63,5 @@ def write_cloud(path: Path | str, columns: Mapping[str, AnyArray]) -> None:
         else:
             titles = [f"{name}_m" if name in _XYZ else name for name in columns]
             formats = ["%.9g" if kind.kind == "f" else "%d" for kind in kinds.values()]
-            np.savetxt(temporary, records, fmt=formats, delimiter=",", header=",".join(titles), comments="")
+            rows = map(",".join(formats).__mod__, records.tolist())  # np.savetxt takes twice as long
+            temporary.write_text("\n".join([",".join(titles), *rows, ""]), encoding="ascii")

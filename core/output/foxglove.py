@@ -10,6 +10,7 @@ import asyncio
 import importlib.resources
 import json
 import logging
+import re
 import struct
 import threading
 from collections.abc import Collection, Mapping, Sequence
@@ -89,6 +90,11 @@ class FoxgloveSink:
     """
 
     def __init__(self, host: str, port: int, max_clients: int, origins: Collection[str] = frozenset()) -> None:
+        for origin in origins:
+            if not re.fullmatch(r"null|https?://[^/?#\s]+", origin):
+                raise PublishError(
+                    f"--origin is {foreign(origin, 80)!r}; write it as https://app.foxglove.dev, without a path"
+                )
         self._host, self._port = host, port
         self._max_clients, self._origins = max_clients, frozenset(origins)
         self._channels: list[dict[str, Any]] = []  # By their numbers

@@ -21,8 +21,9 @@ _SIGMAS: Final = 3.0
 #: Error of the relative force that all presses of a rig share, larger by a factor where one is weak, and largest
 #: residual of presses that fit together.
 _SHARED_ERROR, _WEAKER, _LARGEST_RESIDUAL = 0.05, 2.0, 0.5
-#: What a membrane can be pressed with, N.
+#: What a membrane can be pressed with, N, and the largest usual pressure of a soft one, Pa.
 _FORCES_N: Final = 1e-3, 1e3
+_USUAL_PA: Final = 10_000.0
 _COLUMNS: Final = "frame,force_n or time_s,force_n"
 
 
@@ -79,6 +80,7 @@ class Inflation(NamedTuple):
         left = "" if self.presses == 1 else f"; the forces differ from the fit by {self.residual_n:.2g} N"
         plural = "press" if self.presses == 1 else "presses"
         weak = f"; doubtful, since {' and '.join(self.weak)}" if self.weak else ""
+        weak += "; few membranes stand so much: are the forces in newtons?" if self.pascals > _USUAL_PA else ""
         return f"inflation {self.pascals:,.0f} ± {self.sigma_pa:,.0f} Pa from {self.presses} {plural}{left}{weak}"
 
 

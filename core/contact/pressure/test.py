@@ -327,7 +327,7 @@ class _Now:
         shape, _, ratio, sigma = rest.wide.compare(cells, rest.bulging_per_m[::2, ::2])
         sigmas = (self.grown - ratio) / (sigma * self._scatter * shape.growth**_CUT_POWER)
         height, width = self.relative.shape
-        return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2))[:height, :width]
+        return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2), np.float64)[:height, :width]
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""

@@ -293,6 +293,8 @@ def _parts_of(folder: Path) -> list[Path]:
     """Return the files of a recording in the order of time."""
     if not (folder / METADATA).exists():  # a recorder that was killed writes none
         paths = sorted((path for ending in BAG_ENDINGS for path in folder.glob(f"*{ending}")), key=_number)
+        if not paths:
+            raise SourceError(f"{folder} holds no recording ({', '.join(BAG_ENDINGS)}); choose another folder")
         if len(names := {re.sub(r"(_\d+)?\..*", "", path.name) for path in paths}) != 1:
             raise SourceError(
                 f"{folder} has no {METADATA} and files of {len(names)} recordings "

@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, urlencode
 
 import numpy as np
 
-from ...errors import SourceError
+from ...errors import SourceError, foreign
 from .membrane import MembraneDesign
 from .objects import CUP, OBJECTS, PressedObject
 from .render import Print
@@ -263,20 +263,20 @@ def write_name(scene: str, variant: Variant, sensor: str, seed: int, noise: floa
 
 def read_name(rest: str) -> dict[str, Any]:
     """Return the arguments of a `SimulatorSource` by its name without ``sim:``; `SourceError` if it has none."""
-    name, (scene, _, query) = f"sim:{rest}", rest.partition("?")
+    name, (scene, _, query) = foreign(f"sim:{rest}", 80), rest.partition("?")
     try:
         given = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
     except ValueError as error:
-        raise SourceError(f"{name}: {query!r} are no options; write them as seed=3&noise=0.5") from error
+        raise SourceError(f"{name}: {foreign(query, 80)!r} are no options; write them as seed=3&noise=0.5") from error
     for key in given:
         if key not in _DEFAULTS or key == "scene":
             options = ", ".join(option for option in _DEFAULTS if option != "scene")
-            raise SourceError(f"{name}: the simulator has no option {key!r}; known are {options}")
+            raise SourceError(f"{name}: the simulator has no option {foreign(key, 80)!r}; known are {options}")
     values: dict[str, Any] = _DEFAULTS | given | {"scene": scene or _DEFAULTS["scene"]}
     for key, choices in _CHOICES.items():
-        if values[key] not in choices:
+        if values[key] not in choices or given.get(key) == "":
             known = ", ".join(filter(None, choices))
-            raise SourceError(f"{name}: {key} is {values[key]!r}; choose one of {known}")
+            raise SourceError(f"{name}: {key} is {foreign(values[key], 80)!r}; choose one of {known}")
     numbers = dict.fromkeys(_LARGEST, -1.0)
     for key, largest in _LARGEST.items():
         whole = key == "seed"
@@ -284,7 +284,9 @@ def read_name(rest: str) -> dict[str, Any]:
             numbers[key] = int(values[key]) if whole else float(values[key])
         if not 0.0 <= numbers[key] <= largest:
             kind = "whole number" if whole else "number"
-            raise SourceError(f"{name}: {key} is {values[key]!r}; it must be a {kind} from 0 to {largest:,.0f}")
+            raise SourceError(
+                f"{name}: {key} is {foreign(values[key], 80)!r}; it must be a {kind} from 0 to {largest:,.0f}"
+            )
     chosen = {key: values[key] for key in ("press", "move", "side", "membrane", "grid")}
     variant = Variant(gap_mm=numbers.pop("gap"), **chosen)
     resolve_scene(values["scene"], variant)

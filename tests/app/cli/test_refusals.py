@@ -24,6 +24,11 @@ REFUSED = [
     ("run --source folder:/no/such/folder --json", "/no/such/folder"),
     ("run --source simulator --json", "simulator"),
     ("run --source sim:teapot --json", "teapot"),
+    ("run --source sim:cup?press= --json", "press is ''"),
+    ("run --source rosbag:OUT", "holds no recording"),
+    ("run --source IN --out=", "--out' / '-o': it is empty"),
+    ("serve --source IN --unit mm", "--unit is the unit of --mesh"),
+    ("serve --source IN --origin https://a.b/c", "--origin is 'https://a.b/c'"),
     ("run --source IN --preset no_such_preset --json", "no_such_preset"),
     ("run --source IN --preset IN/rig.json --json", "rig.json"),
     ("run --source IN --out /dev/null/out", "/dev/null/out"),
@@ -99,6 +104,7 @@ POINTS = "id,enabled,proximity_u,proximity_v,tactile_u,tactile_v,tactile_depth_m
 @pytest.mark.parametrize(
     ("words", "text"),
     [
+        ("run --source sim:wxyzNAME?wxyzNAME=1".replace("NAME", "wxyz" * 900), ""),
         ("preset new --out OUT --rig FILE", json.dumps({LONG: 1})),
         ("preset validate FILE", json.dumps({LONG: 1, "schema": LONG})),
         ("calibrate --rig IN --points FILE", f"{LONG},enabled\n1,1\n"),

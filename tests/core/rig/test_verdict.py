@@ -138,3 +138,5 @@ def test_a_log_that_is_none_is_refused(tmp_path, text, named):
 
 def test_one_press_is_as_uncertain_as_its_noise():
     assert fit_inflation([Press(0, 20.0, 10_000, 2_000)]).sigma_pa == pytest.approx(math.hypot(400, 100))
+    grams = fit_inflation([Press(0, 300.0, 10_000, 2_000)])
+    assert "newtons?" in grams.sentence and "newtons?" not in fit_inflation([Press(0, 20.0, 10_000, 2_000)]).sentence

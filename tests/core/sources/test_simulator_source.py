@@ -136,7 +136,7 @@ def test_impossible_names_are_refused(name, words):
 def test_a_name_is_written_without_what_is_the_default():
     name = "octopus?press=high&side=left&membrane=soft&sensor=worn&seed=3&noise=0.5"
     assert write_name(**read_name(name)) == f"sim:{name}"
-    assert write_name(**read_name("?press=&seed=0&noise=1")) == "sim:cup"
+    assert write_name(**read_name("?side=right&seed=0&noise=1")) == "sim:cup"
 
 
 def test_hovering_object_keeps_its_gap():
