@@ -132,7 +132,7 @@ _OVERSHOT: Final = 1e3
 _SHORTEST_SHARE: Final = 0.05
 _MAX_ITERATIONS: Final = 6000
 #: Steps of the descent in which a node that sticks may come off before it slides.
-_PATIENCE: Final = 400
+_PATIENCE: Final = 100
 
 
 @dataclass(frozen=True)
