@@ -1,7 +1,9 @@
-"""The last page: the tactile image over the proximity image by the new alignment or the present one."""
+"""The last page: the proximity image over the tactile image by the new alignment or the present one."""
 
 from __future__ import annotations
 
+import cv2
+import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QButtonGroup, QLabel, QSlider, QWidget
@@ -9,6 +11,7 @@ from PyQt6.QtWidgets import QButtonGroup, QLabel, QSlider, QWidget
 from ...core.calibration.check import compare_alignments
 from ...core.calibration.geometry import Alignment
 from ...core.calibration.report import CalibrationReport
+from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
 from ...widgets.basics.controls import caption, choice_button, wrapped_label
@@ -16,7 +19,7 @@ from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.point_image import PointImage
 from ..document.document import Document
 from ..worker.jobs import Job
-from .correspondence import Overlay, make_overlay
+from .correspondence import overlay
 from .fitting import Outcome, at_least
 from .session import ImageChoice, Session
 
@@ -28,10 +31,10 @@ class CheckPage(QWidget):
         super().__init__()
         self._session, self._document = session, document
         self._outcome = Outcome()
-        self._overlay: Overlay | None = None
+        self._images: tuple[Uint8Array, Uint8Array] | None = None
         self._drawn: tuple[object, ...] = ()
         self.job = Job(self)
-        self.image = PointImage("Tactile image over proximity image", magnifies=False)
+        self.image = PointImage("Proximity image over tactile image", magnifies=False)
         self.errors = wrapped_label()
         self.errors.setToolTip("Over the membrane; both alignments are compared at pairs that neither was fitted to")
         self.share = QSlider(Qt.Orientation.Horizontal)
@@ -81,22 +84,26 @@ class CheckPage(QWidget):
             self._drawn = (snapshot, wanted)
             self.job.start(lambda _: overlay_by(wanted, self._session.rig, snapshot.frame))
 
-    def _show_overlay(self, overlay: Overlay) -> None:
-        self._overlay = overlay
+    def _show_overlay(self, images: tuple[Uint8Array, Uint8Array]) -> None:
+        self._images = images
         self._compose()
 
     def _show_none(self, why: str) -> None:
-        self._overlay, self._drawn = None, ()
+        self._images, self._drawn = None, ()
         self.image.set_image(None, why)
 
     def _compose(self) -> None:
-        if self._overlay is not None:
-            self.image.set_image(self._overlay.blended(self.share.value() / 100))
+        if self._images is not None:
+            share = self.share.value() / 100
+            mixed = cv2.addWeighted(self._images[0], share, self._images[1], 1.0 - share, 0.0)
+            self.image.set_image(np.asarray(mixed, np.uint8))
 
 
-def overlay_by(alignment: CalibrationReport | AlignmentSection, rig: Rig, frame: SensorFrame) -> Overlay:
-    """Lay the tactile image over the proximity image by a new alignment or a preset's, in colour where both have it."""
+def overlay_by(
+    alignment: CalibrationReport | AlignmentSection, rig: Rig, frame: SensorFrame
+) -> tuple[Uint8Array, Uint8Array]:
+    """Lay the proximity image over the tactile image by a new alignment or a preset's, in colour where both have it."""
     image: ImageChoice = "depth" if frame.tactile_color is None else "color"
     if isinstance(alignment, CalibrationReport):
-        return make_overlay(alignment.chosen.fit.alignment, alignment.rig, frame, image)
-    return make_overlay(Alignment.of_preset(alignment, rig), rig, frame, image)
+        return overlay(alignment.chosen.fit.alignment, alignment.rig, frame, image)
+    return overlay(Alignment.of_preset(alignment, rig), rig, frame, image)

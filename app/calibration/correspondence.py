@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import cv2
 import numpy as np
 
-from ...core.calibration.geometry import Alignment, color_lens, color_pose, moved, proximity_pixels, ray_seen
+from ...core.calibration.geometry import Alignment, color_lens, color_pose, moved, ray_seen
 from ...core.model.alignment import Place
-from ...core.model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
+from ...core.model.arrays import Float64Array, IndexArray, Uint8Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from .pictures import picture
 from .session import ImageChoice, tactile_depth
 
 _NEAREST_M, _FARTHEST_M, _STEPS = 0.08, 1.2, 480
-_FILL = (5, 5)
 
 
 def proximity_partner(
@@ -36,10 +32,13 @@ def tactile_partner(
     alignment: Alignment, rig: Rig, frame: SensorFrame, image: ImageChoice, place: Place
 ) -> Place | None:
     """Predict a tactile pixel: where the proximity pixel's ray meets the membrane by the tactile camera."""
-    points = clicked_ray(rig, image, [place], np.linspace(_NEAREST_M, _FARTHEST_M, _STEPS))
+    in_color = image == "color" and rig.proximity_color is not None
+    lens, pose = (color_lens(rig), color_pose(rig)) if in_color else (rig.proximity.intrinsics, np.eye(4))
+    distances_m = np.linspace(_NEAREST_M, _FARTHEST_M, _STEPS)[:, None]
+    points = moved(np.linalg.inv(pose), np.column_stack([ray_seen(lens, [place]) * distances_m, distances_m]))
     pixels, depth_m = alignment.tactile_pixels(rig, points)
     shape = rig.tactile.intrinsics.shape
-    if alignment.pose is None and (image == "depth" or rig.proximity_color is None):
+    if alignment.pose is None and not in_color:
         return _inside(pixels[0], shape)
     beyond = depth_m - _membrane_m(frame, rig, alignment, pixels)
     crossing = np.flatnonzero((beyond[:-1] <= 0) & (beyond[1:] > 0))
@@ -48,14 +47,6 @@ def tactile_partner(
     first = int(crossing[0])
     share = -beyond[first] / (beyond[first + 1] - beyond[first])
     return _inside(pixels[first] + share * (pixels[first + 1] - pixels[first]), shape)
-
-
-def clicked_ray(rig: Rig, image: ImageChoice, pixels: object, distances_m: Float64Array) -> Float64Array:
-    """Return the points (N, 3) of the proximity depth frame at distances (N,) behind one pixel, or behind N pixels."""
-    lens = color_lens(rig) if image == "color" else rig.proximity.intrinsics
-    rays = ray_seen(lens, pixels)  # type: ignore[arg-type]
-    points = np.column_stack([rays * distances_m[:, None], distances_m])
-    return moved(np.linalg.inv(color_pose(rig)), points) if image == "color" else points
 
 
 def _membrane_m(frame: SensorFrame, rig: Rig, alignment: Alignment, pixels: Float64Array) -> Float64Array:
@@ -74,47 +65,16 @@ def _inside(place: Float64Array, shape: tuple[int, int]) -> Place | None:
     return (u, v) if -0.5 <= u <= shape[1] - 0.5 and -0.5 <= v <= shape[0] - 0.5 else None
 
 
-@dataclass(frozen=True, eq=False)
-class Overlay:
-    """Both images in proximity pixels, RGB32 (H, W, 4), and the mask where the tactile one is known."""
+def overlay(alignment: Alignment, rig: Rig, frame: SensorFrame, image: ImageChoice) -> tuple[Uint8Array, Uint8Array]:
+    """Return the tactile image, colour or depth, and the same where the proximity image lies over it, RGB32 (H, W, 4).
 
-    proximity: Uint8Array
-    tactile: Uint8Array
-    known: BoolArray
-
-    def blended(self, share: float) -> Uint8Array:
-        """Blend both images; ``share`` is the weight of the tactile one, 0 to 1."""
-        mixed = cv2.addWeighted(self.proximity, 1.0 - share, self.tactile, share, 0.0)
-        return np.where(self.known[:, :, None], mixed, self.proximity).astype(np.uint8)
-
-
-def make_overlay(alignment: Alignment, rig: Rig, frame: SensorFrame, image: ImageChoice) -> Overlay:
-    """Warp the tactile image, colour or depth, into a proximity image by way of the membrane's surface."""
-    v, u = np.nonzero(valid_depth(frame.tactile_depth))
-    raw_m = frame.tactile_depth[v, u] * rig.tactile.depth_unit_m
-    depth_m = _splat(alignment.points_m(rig, np.column_stack([u, v, raw_m])), rig, image)
-    known = np.isfinite(depth_m)
-    places = np.full((*depth_m.shape, 2), -1.0, np.float32)
-    if known.any():
-        rows, columns = np.nonzero(known)
-        pixels = np.column_stack([columns, rows]).astype(np.float64)
-        points = clicked_ray(rig, image, pixels, depth_m[known].astype(np.float64))
-        places[known] = alignment.tactile_pixels(rig, points)[0]
-    over = picture(frame, rig, "tactile", image).pixels
-    first, second = (np.ascontiguousarray(places[:, :, axis]) for axis in (0, 1))
-    tactile = np.asarray(cv2.remap(over, first, second, cv2.INTER_LINEAR), dtype=np.uint8)
-    return Overlay(picture(frame, rig, "proximity", image).pixels, tactile, known)
-
-
-def _splat(points: Float64Array, rig: Rig, image: ImageChoice) -> Float32Array:
-    """Return the distance along z of points (N, 3) in a proximity image, float32 (H, W); nan where no point is near."""
-    height, width = color_lens(rig).shape if image == "color" else rig.proximity.intrinsics.shape
-    pixels = np.rint(proximity_pixels(rig, points, image == "color"))
-    inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1) & (points[:, 2] > 0)
-    u, v = pixels[inside].astype(np.intp).T
-    seen = moved(color_pose(rig), points[inside]) if image == "color" else points[inside]
-    total, weight = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
-    total[v, u], weight[v, u] = seen[:, 2], 1.0
-    blurred: Any = [cv2.boxFilter(part, -1, _FILL, normalize=False) for part in (total, weight)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(blurred[1] > 0.5, blurred[0] / blurred[1], np.float32(np.nan)).astype(np.float32)
+    The membrane's surface tells which pixel lies over which: without tactile depth there is none.
+    """
+    known, counts = valid_depth(frame.tactile_depth), frame.tactile_depth
+    places = alignment.lookup(rig, np.where(known, counts * rig.tactile.depth_unit_m, np.nan), image == "color")
+    places[~known] = -9.0  # outside
+    below, over = (picture(frame, rig, side, image).pixels for side in ("tactile", "proximity"))
+    both = cv2.remap(
+        over, places[..., 0], places[..., 1], cv2.INTER_LINEAR, below.copy(), borderMode=cv2.BORDER_TRANSPARENT
+    )
+    return below, np.asarray(both, np.uint8)

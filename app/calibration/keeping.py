@@ -8,7 +8,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PyQt6.QtCore import QObject
 
 from ...core.calibration.snapshots import content_hash
@@ -16,14 +15,13 @@ from ...core.errors import TactuneError
 from ...core.model.alignment import PointPair
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
-from ...core.model.loading import parse_npz, read_file
-from ..document.keeping import KeptState, lock_of, write_json
+from ...core.model.loading import frame_bytes, frame_from_bytes, read_file
+from ..document.recovery import KeptState, lock_of, write_json
 from .session import Choices, Session, SessionState, Snapshot, renumbered, rig_key
 
 _VERSION = 2
 #: Windows on one rig that keep files of their own.
 _SLOTS = 8
-_IMAGES = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
 
 
 class Keeper(KeptState[SessionState]):
@@ -76,18 +74,18 @@ class Keeper(KeptState[SessionState]):
         for snapshot in state.snapshots:
             images = _images_file(self.folder, snapshot.digest)
             if snapshot.digest not in self._stored or not images.exists():  # another window may have removed it
-                _write_images(images, snapshot.frame)
+                with atomic_path(images) as temporary:
+                    temporary.write_bytes(frame_bytes(snapshot.frame))
                 self._stored.add(snapshot.digest)
         content = {
             "version": _VERSION,
             "snapshots": [
-                {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged,
-                 "sequence": snap.frame.sequence, "source": snap.source}
+                {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged, "source": snap.source}
                 for snap in state.snapshots
             ],
             "pairs": [pair.model_dump(mode="json") for pair in state.pairs],
             "choices": state.choices.model_dump(mode="json"),
-        }  # fmt: skip
+        }
         write_json(file, content)
 
     def _parse(self, content: dict[str, Any]) -> SessionState:
@@ -98,7 +96,7 @@ class Keeper(KeptState[SessionState]):
         self._missing = []
         for entry in content["snapshots"]:
             try:
-                frame = _read_images(_images_file(self.folder, entry["digest"]), entry["sequence"])
+                frame = _read_images(_images_file(self.folder, entry["digest"]))
                 frame.check_against(self._session.rig)
             except (OSError, ValueError, TypeError, TactuneError):  # missing, damaged or of another rig
                 self._missing.append(entry["name"])
@@ -120,16 +118,8 @@ def _images_file(folder: Path, digest: str) -> Path:
     return folder / f"snapshot-{digest[:24]}.npz"
 
 
-def _write_images(path: Path, frame: SensorFrame) -> None:
-    images = {name: image for name in _IMAGES if (image := getattr(frame, name)) is not None}
-    with atomic_path(path) as temporary:
-        np.savez(temporary, **images)
-
-
-def _read_images(path: Path, sequence: int) -> SensorFrame:
-    stored = parse_npz(read_file(path))
-    images: dict[str, Any] = {name: stored[name] for name in _IMAGES if name in stored}
-    frame = SensorFrame(sequence=sequence, **images)
+def _read_images(path: Path) -> SensorFrame:
+    frame = frame_from_bytes(read_file(path))
     if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
         raise ValueError(f"{path} has been changed")
     return frame

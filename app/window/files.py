@@ -17,8 +17,8 @@ from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.comparison import differing_fields
 from ..document.document import Document, describe_edit
-from ..document.keeping import Autosave, UnsavedWork, unsaved_work
 from ..document.programs import as_command, as_python
+from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..sources.pages import recording_name
 from ..worker.results import SourceInfo
 from .actions import Actions

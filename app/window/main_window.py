@@ -29,14 +29,14 @@ from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
-from ..document.keeping import Autosave
+from ..document.recovery import Autosave
 from ..rig.force_window import ForceWindow
 from ..rig.set_up_panel import SetUpPanel, StepRow
 from ..rig.untouched import UntouchedKeeper
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
+from ..sources.camera_settings import CameraPanel
 from ..sources.cameras_page import CAMERAS
-from ..sources.control import CameraPanel
 from ..sources.opening import OpenControl
 from ..sources.pages import RECENT
 from ..sources.topics import WITHOUT_TOPICS, TopicsControl

@@ -102,7 +102,6 @@ class FrameProcessor:
 
     def forget(self) -> None:
         self._present, self._others = PatchFinder(self._missing, follows=True), []
-        self._doubt = None
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
 
     def process(

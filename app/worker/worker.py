@@ -22,7 +22,7 @@ from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
 from ..document.comparison import Sides
-from .beside import BackgroundCompiler, Examination, StoredUntouched
+from .background import BackgroundCompiler, Examination, StoredUntouched
 from .errors import explain, guarded
 from .playback import Playback
 from .processing import FrameProcessor

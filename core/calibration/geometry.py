@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..contact.alignment import tactile_homography, tactile_pose
-from ..model.arrays import BoolArray, Float64Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from ..preset import AlignmentSection
@@ -108,6 +108,12 @@ class Alignment:
         if self.homography is not None and not np.any(in_color):  # its depth pixels need no depth
             return mapped(self.homography, np.asarray(places, np.float64)[:, :2])
         return proximity_pixels(rig, self.points_m(rig, places), in_color)
+
+    def lookup(self, rig: Rig, depth_m: Float64Array, in_color: bool) -> Float32Array:
+        """Return the proximity pixel (H, W, 2) of every tactile pixel with raw depth (H, W): what `cv2.remap` takes."""
+        v, u = np.indices(depth_m.shape)
+        dense = np.column_stack([u.ravel(), v.ravel(), depth_m.ravel()])
+        return self.pixels(rig, dense, in_color).astype(np.float32).reshape(*depth_m.shape, 2)
 
     def tactile_pixels(self, rig: Rig, points_m: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return the tactile pixels (N, 2) of points (N, 3) of the proximity frame, and their corrected depths."""

@@ -123,14 +123,12 @@ def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> Float64Array:
     from scipy.ndimage import map_coordinates  # slow to import
 
     height, width = rig.tactile.intrinsics.shape
-    v, u = np.mgrid[:height, :width].astype(np.float64)
     parts = [_NOTHING]
     for view in views:
         features = view.features[np.isfinite(view.features[:, 2])]
         if not len(features):
             continue
-        dense = np.column_stack([u.ravel(), v.ravel(), view.depth_m.ravel()])
-        lookup = alignment.pixels(rig, dense, in_color=True).astype(np.float32).reshape(height, width, 2)
+        lookup = alignment.lookup(rig, view.depth_m, in_color=True)
         warped: Uint8Array = np.asarray(
             cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC), np.uint8
         )

@@ -152,7 +152,7 @@ def _pillow_pixels(data: bytes) -> AnyArray:
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
 
 
-def untouched_bytes(frame: SensorFrame) -> bytes:
+def frame_bytes(frame: SensorFrame) -> bytes:
     """Return a frame as an ``.npz``; `frame_from_bytes` reads it and ignores other names."""
     arrays = {name: getattr(frame, name) for name in _ARRAYS} | frame.numbers()
     if frame.truth is not None:

@@ -20,7 +20,7 @@ from ..errors import ExportError, TactuneError
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers, taken, user_path
 from ..model.frames import Rig, SensorFrame
-from ..model.loading import untouched_bytes
+from ..model.loading import frame_bytes
 from ..model.patch import ContactPatch
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
@@ -276,7 +276,7 @@ class SessionWriter:
         self._rig, self._preset, self._results = rig, preset, results
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
-        attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
+        attachments = {} if untouched is None else {UNTOUCHED_NAME: frame_bytes(untouched)}
         self._bag = BagWriter(path, self._topics(), rig, preset, frame_rate_hz, attachments)
         self._queue: deque[tuple[SensorFrame, int]] = deque()
         self._waiting_bytes = 0

@@ -17,7 +17,7 @@ from ..model.arrays import Float64Array, Uint16Array, spread
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
 from ..model.frames import SensorFrame
-from ..model.loading import frame_from_bytes, read_file, untouched_bytes
+from ..model.loading import frame_bytes, frame_from_bytes, read_file
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 
@@ -59,7 +59,7 @@ def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> Untouc
     sha256 = content_hash(frame)
     record = UntouchedRecord(file=f"untouched-{sha256[:12]}.npz", sha256=sha256, frames=frames)
     with atomic_path(preset_path.parent / record.file) as temporary:
-        temporary.write_bytes(untouched_bytes(frame))
+        temporary.write_bytes(frame_bytes(frame))
     return record
 
 
@@ -86,7 +86,7 @@ def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None
         return
     frame = load_untouched(record, preset_path)
     with atomic_path(target) as temporary:
-        temporary.write_bytes(untouched_bytes(frame))  # not the file's own bytes, which may hold more than images
+        temporary.write_bytes(frame_bytes(frame))  # not the file's own bytes, which may hold more than images
 
 
 def find_untouched(

@@ -3,7 +3,7 @@
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QLabel
+from PyQt6.QtWidgets import QLabel
 
 from tactune.app.analysis import window as analysis_window
 from tactune.app.analysis.tab import AnalysisTab, TabKind
@@ -81,12 +81,15 @@ def test_only_the_visible_tab_takes_frames_and_a_closed_window_none(qtbot, windo
     assert analysis.made["compare"].sequences[-1] == 6
 
 
-def test_the_main_window_closes_it_and_ends_its_tabs(qtbot, window):
+def test_the_main_window_closes_it_and_ends_its_tabs_and_its_place_is_remembered(qtbot, window):
     analysis = opened(qtbot, window)
+    analysis.setGeometry(40, 50, 700, 500)
     window.close_without_asking()
     assert analysis.made["compare"].ended
     assert not analysis.isVisible()
-    QApplication.processEvents()
+    again = analysis_window.AnalysisWindow(analysis_window.OWN_TABS, window.context, window.actions_.play)
+    qtbot.addWidget(again)
+    assert again.geometry() == analysis.geometry()
 
 
 def test_the_menu_lists_every_tab_with_its_tip_and_free_shortcut(own_window):

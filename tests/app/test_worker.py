@@ -1,19 +1,21 @@
 """The worker thread, its playback and its mailbox; live cameras in the worker and in the window."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from fakes import FakeCameras, FakeSource
+from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from tactune.app.worker import processing, reading
-from tactune.app.worker.playback import Playback
+from tactune.app.worker.playback import Playback, PlaybackState
 from tactune.app.worker.processing import FrameProcessor
-from tactune.app.worker.results import CloudName, ColorBy, Wanted
+from tactune.app.worker.results import CloudName, ColorBy, SourceInfo, Wanted
 from tactune.app.worker.threads import Mailbox
 from tactune.app.worker.worker import SourceRequest, Worker
+from tactune.core.preset import Preset
 from watched_worker import Watched
 
 
@@ -69,6 +71,23 @@ def test_only_what_is_looked_at_is_drawn(watched, qtbot):
     histogram = watched.last.rendered.histogram
     counted = watched.last.patch.relative_difference[::2, ::2]
     assert histogram.counts.sum() == np.isfinite(counted).sum() > 0
+
+
+def test_while_frames_play_numbers_and_images_are_drawn_at_their_intervals_and_colours_keep_their_range(monkeypatch):
+    now_s, rig = [0.0], tiny_rig()
+    monkeypatch.setattr(processing.time, "perf_counter", lambda: now_s[0])
+    processor, frame = FrameProcessor(), tiny_frame(3, rig)
+    nearer = replace(frame, tactile_depth=frame.tactile_depth // 2)
+    drawn, ranges = [], []
+    for now_s[0], shown, playing in ((0, frame, True), (0.1, frame, True), (0.15, frame, True), (0.25, nearer, True),
+                                     (0.26, frame, False)):  # fmt: skip
+        playback = PlaybackState(length=5, playing=playing)
+        made = processor.process(SourceInfo("tiny", rig, 5, 30.0), shown, Preset(), Wanted(), playback).rendered
+        drawn.append((made.histogram is not None, made.strip is not None))
+        ranges.append(made.tactile_range_m)
+    assert drawn == [(True, True), (False, True), (False, False), (True, True), (True, True)]
+    assert ranges[0] == ranges[2] and ranges[3] == ranges[4]
+    assert ranges[3][0] < ranges[0][0] and ranges[3][1] == ranges[0][1]
 
 
 def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):

@@ -32,8 +32,9 @@ def test_importing_all_of_the_core_imports_nothing_of_the_window():
     [
         ("core.output.writer, tactune.core.sources.folder, tactune.core.sources.tactune_files", {"numba"}),
         ("core.contact.pipeline", {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}),
+        ("app.cli.main", {"numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph"}),
         (
-            "app.cli.lab, tactune.app.cli.main, tactune.app.cli.run, tactune.app.cli.serve",
+            "app.cli.lab, tactune.app.cli.run, tactune.app.cli.serve",
             {"PyQt6", "pyqtgraph", "open3d"},
         ),
         (
@@ -41,7 +42,7 @@ def test_importing_all_of_the_core_imports_nothing_of_the_window():
             {"PyQt6", "pyqtgraph", "cv2", "numba", "scipy", "pyrealsense2", "rosbags", "open3d"},
         ),
     ],
-    ids=["reading and recording", "the pipeline", "commands without a window", "the capture process"],
+    ids=["reading and recording", "the pipeline", "help", "commands without a window", "the capture process"],
 )
 def test_nothing_heavy_is_loaded_before_it_is_needed(modules, heavy):
     program = f"import sys, tactune.{modules}; print(sorted({heavy} & set(sys.modules)))"

@@ -3,7 +3,6 @@
 import itertools
 import multiprocessing
 import random
-import re
 import resource
 import shutil
 import signal
@@ -123,33 +122,6 @@ def test_two_writers_leave_whole_files(name, tmp_path, start, qapp):
         writer.kill()
         writer.join(HUNG_S)
     check(KINDS[name], tmp_path)
-
-
-def write_new(said, name, folder, n, start):
-    writer = KINDS[name].new
-    assert writer is not None
-    start.wait(HUNG_S)  # both processes at the same moment
-    try:
-        writer(folder, n)
-    except TactuneError as error:
-        said.send(str(error))
-    else:
-        said.send("")
-
-
-@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.new])
-def test_of_two_writers_of_one_new_name_one_is_refused(name, tmp_path, start, qapp):
-    for number in range(8):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        together = multiprocessing.get_context("forkserver").Barrier(2)
-        writers = [start(write_new, name, folder, n, together) for n in range(2)]
-        answers = [heard(said, name) for _, said in writers]
-        for writer, _ in writers:
-            writer.join(HUNG_S)
-        assert answers.count("") == 1, answers
-        assert re.search("already there|not empty", max(answers)), answers
-        assert all(path.name.startswith("new") for path in folder.iterdir())
 
 
 def set_values(said, file, who):

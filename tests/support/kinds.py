@@ -26,7 +26,7 @@ from folder_scenes import RIG, list_source, make_frame
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import Session, SessionState, Snapshot
 from tactune.app.document.document import Document
-from tactune.app.document.keeping import Autosave, KeptState, unsaved_work
+from tactune.app.document.recovery import Autosave, KeptState, unsaved_work
 from tactune.app.settings import Settings
 from tactune.core import ContactPipeline, open_source
 from tactune.core.calibration.points import read_points as read_pairs

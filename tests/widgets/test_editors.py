@@ -1,10 +1,10 @@
 """Sliders and entries of numbers and ranges, by mouse and keys."""
 
 import pytest
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 
-from hands import LEFT, shown, type_into
+from hands import LEFT, shown, turn_wheel, type_into
 from tactune.core.preset import Preset
 from tactune.widgets.basics.fields import section_fields
 from tactune.widgets.parameters.editors import NumbersEditor
@@ -123,6 +123,8 @@ def drag_band(slider, start, *targets):
         (False, 50, 120, 5, [(50, 100, 160)], (115, 120)),
         (True, 150, 170, 0, [(170, 100, 10)], (150, 10)),  # but on a circle they do
         (False, 50, 100, 0, [(70, 60)], (60, 100)),  # a press beside brings the nearer one
+        (False, 80, 80, 0, [(60, 40), (100, 120)], (40, 120)),  # of two at one place, the one that can come
+        (False, 50.4, 100, 0, [(50, 50)], (50.4, 100)),  # a press alone changes nothing
     ],
 )
 def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value):
@@ -152,3 +154,9 @@ def test_the_keyboard_reaches_both_handles(qtbot):
     QTest.keyClick(slider, Qt.Key.Key_Tab, Qt.KeyboardModifier.ShiftModifier)
     QTest.keyClick(slider, Qt.Key.Key_Home)
     assert slider.values() == (0, 179)
+    turn_wheel(slider, QPointF(9, 9), 1)
+    slider.clearFocus()
+    turn_wheel(slider, QPointF(9, 9), 1)
+    slider.setFocus(Qt.FocusReason.BacktabFocusReason)
+    turn_wheel(slider, QPointF(9, 9), -1)
+    assert slider.values() == (1, 178)

@@ -25,16 +25,16 @@ _MISSING = "–"
 class Column:
     """One column: how a record's cell reads and looks.
 
-    ``value`` gives the text of a record, or its number where ``decimals`` is given; nan is shown as a dash. ``ticked``
-    is None where there is no check box. ``hint`` is the tooltip of a cell. The column is as wide as ``sample``, or as
-    its content, or takes the room that is left.
+    ``value`` gives the text of a record, or its number where ``decimals`` is given; nan is shown as a dash. A column
+    with ``ticked`` has check boxes. ``hint`` is the tooltip of a cell. The column is as wide as ``sample``, or as its
+    content, or takes the room that is left.
     """
 
     title: str
     value: Callable[[Any], float | str]
     tip: str = ""
     decimals: int | None = None
-    ticked: Callable[[Any], bool | None] | None = None
+    ticked: Callable[[Any], bool] | None = None
     hint: Callable[[Any], str] | None = None
     sample: str = ""
     stretch: bool = False
@@ -50,8 +50,7 @@ class Column:
         value = self.value(record)
         if self.decimals is not None:
             return -1e300 if isinstance(value, str) or not isfinite(value) else value
-        on = self.ticked(record) if self.ticked is not None else None
-        return on if value == "" and on is not None else value
+        return value if self.ticked is None else self.ticked(record)
 
 
 class _Model(QAbstractTableModel):
@@ -97,8 +96,7 @@ class _Model(QAbstractTableModel):
 
     def flags(self, index: QModelIndex) -> Qt.ItemFlag:
         flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
-        column = self.columns[index.column()]
-        has_box = column.ticked is not None and column.ticked(self.records[index.row()]) is not None
+        has_box = self.columns[index.column()].ticked is not None
         return flags | Qt.ItemFlag.ItemIsUserCheckable if has_box else flags
 
     def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> Any:
@@ -107,8 +105,7 @@ class _Model(QAbstractTableModel):
         if role == _Role.DisplayRole:
             answer = column.text(record)
         elif role == _Role.CheckStateRole and column.ticked is not None:
-            on = column.ticked(record)
-            answer = None if on is None else Qt.CheckState.Checked if on else Qt.CheckState.Unchecked
+            answer = Qt.CheckState.Checked if column.ticked(record) else Qt.CheckState.Unchecked
         elif role == _Role.TextAlignmentRole:
             side = Qt.AlignmentFlag.AlignLeft if column.decimals is None else Qt.AlignmentFlag.AlignRight
             answer = side | Qt.AlignmentFlag.AlignVCenter
@@ -148,6 +145,7 @@ class RecordTable(QTableView):
     ) -> None:
         super().__init__()
         self._key = key
+        self._box = next((column.ticked for column in columns if column.ticked is not None), None)
         self._showing = False
         self._model = _Model(columns, marked)
         self.setModel(self._model)
@@ -211,13 +209,11 @@ class RecordTable(QTableView):
             return
         if event.key() in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
             self.deleteRequested.emit()
-        elif event.key() == Qt.Key.Key_Space and any(column.ticked for column in self._model.columns):
-            box = next(column.ticked for column in self._model.columns if column.ticked is not None)
-            states = [(record, on) for record in self._selected() if (on := box(record)) is not None]
-            turn_on = not all(on for _, on in states)
-            for record, on in states:
-                if on != turn_on:
-                    self.ticked.emit(record, turn_on)
+        elif event.key() == Qt.Key.Key_Space and self._box is not None:
+            box, chosen = self._box, self._selected()
+            off = [record for record in chosen if not box(record)]
+            for record in off or chosen:
+                self.ticked.emit(record, bool(off))
         else:
             super().keyPressEvent(event)
 

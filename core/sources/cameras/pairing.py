@@ -32,11 +32,8 @@ class Pairer(Generic[Item]):
     _first: list[Timed[Item]] = field(default_factory=list)
     _second: list[Timed[Item]] = field(default_factory=list)
 
-    def add_first(self, item: Timed[Item]) -> None:
-        insort(self._first, item, key=lambda each: each.time_s)
-
-    def add_second(self, item: Timed[Item]) -> None:
-        insort(self._second, item, key=lambda each: each.time_s)
+    def add(self, item: Timed[Item], *, second: bool) -> None:
+        insort(self._second if second else self._first, item, key=lambda each: each.time_s)
 
     def take(self, now_s: float) -> list[tuple[Timed[Item], Timed[Item]]]:
         """Return the pairs that no later image can change, in time order."""

@@ -301,10 +301,9 @@ class CameraSource(FrameSource):
             if not self._rig.has_proximity:
                 alone = Timed(images.time_s, arrival_s, images)
                 self._ready.append((alone, alone))
-            elif role == "proximity":
-                self._pairer.add_first(Timed(images.time_s, arrival_s, images))
             else:
-                self._pairer.add_second(Timed(images.time_s - self._delay_s, arrival_s, images))
+                time_s = images.time_s - (self._delay_s if role == "tactile" else 0.0)
+                self._pairer.add(Timed(time_s, arrival_s, images), second=role == "tactile")
             self._ready += self._pairer.take(arrival_s)
             while len(self._ready) > _MAX_WAITING:
                 self._ready.popleft()

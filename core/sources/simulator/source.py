@@ -33,7 +33,7 @@ from ...model.files import atomic_path
 from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
 from ...model.loading import read_file
 from ..base import Progress, SeekableSource
-from .membrane import Membrane, MembraneDesign
+from .membrane import Membrane
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
@@ -188,16 +188,10 @@ class SimulatorSource(SeekableSource):
             pool.shutdown(cancel_futures=True)
 
 
-@lru_cache(maxsize=2)
-def _noise_of(rig: Rig, seed: int, level: float, sensor: SensorModel) -> NoiseModel:
-    """Return the noise model of many sources with the same seed; making one takes a second."""
-    return NoiseModel(rig, seed, level, sensor)
-
-
-@lru_cache(maxsize=8)
-def _inflated(design: MembraneDesign) -> Membrane:
-    """Return the untouched membrane; inflating it takes most of the time of a still press."""
-    return Membrane(design)
+#: Of many sources with the same seed: making a noise model takes a second.
+_noise_of = lru_cache(maxsize=2)(NoiseModel)
+#: Inflating the untouched membrane takes most of the time of a still press.
+_inflated = lru_cache(maxsize=8)(Membrane)
 
 
 def _title(scene: Scene) -> str:

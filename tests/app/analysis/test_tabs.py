@@ -4,6 +4,7 @@ import csv
 import math
 import socket
 from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from fakes import at_rest
 from foxglove_client import FoxgloveClient
 from hands import LEFT, show_source, type_into, type_path
 from small_recordings import small_rig
+from tactune.core import PoseTracker
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
@@ -97,6 +99,25 @@ def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, sou
     assert tab.pose.text() == ""
     tab.main.worker.seek(PRESSED)
     qtbot.waitUntil(lambda: not tab.tracked.estimate.lost)
+
+
+def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
+    ended = Event()
+
+    def search_for_ever(_tracker, _patch, progress):
+        try:
+            while True:
+                progress(0.5)
+        finally:
+            ended.set()
+
+    monkeypatch.setattr(PoseTracker, "find", search_for_ever)
+    QTest.mouseClick(tab.track_button, LEFT)
+    qtbot.waitUntil(tab.working.cancel.isVisible)
+    QTest.mouseClick(tab.working.cancel, LEFT)
+    qtbot.waitUntil(ended.is_set)
+    qtbot.waitUntil(lambda: not tab.track_button.isChecked() and not tab.working.cancel.isVisible())
+    assert tab.tracked is None
 
 
 def poses_are_published_also_behind_another_tab(qtbot, tab, source):

@@ -104,17 +104,6 @@ def test_noise_and_bias_are_said_and_stored(tactune, wall, masked):
     assert preset.created == LAST_YEAR < preset.modified
 
 
-def test_a_shipped_preset_is_measured_into_another_file(tactune, rig, tmp_path):
-    wall = tmp_path / "apart"  # the proximity camera looks through the membrane at something 60 mm behind
-    export_folder(wall_source(rig, 14, bias_m=0.060), wall)
-    out = tmp_path / "measured.json"
-    finished = tactune("preset", "measure-rig", "--source", wall, "--out", out)
-    assert finished.status == 0
-    assert "press an object firmly (1,000 mm2 or more)" in finished.out
-    preset = load_preset(out)
-    assert (preset.name, preset.noise.bias_from, preset.noise.frames) == ("measured", "unknown", 14)
-
-
 def test_the_untouched_frame_goes_with_the_preset(tactune, wall, masked, tmp_path):
     words = ("--source", wall, "--preset", masked)
     assert tactune("preset", "capture-untouched", *words, "--force").status == 0

@@ -58,17 +58,6 @@ def test_truth_is_compared_where_it_is_known(tactune, make_recording):
     assert len(unlabelled.err.splitlines()) == 1
 
 
-def test_run_uses_the_preset_with_what_was_set(tactune, recording):
-    def points(*settings):
-        words = [word for setting in settings for word in ("--set", setting)]
-        finished = tactune("run", "-s", recording, "-p", "default", "--json", *words)
-        return [json.loads(line)["points"] for line in finished.out.splitlines()]
-
-    assert points("outliers.enabled=false") == [0, 64, 256, 576]
-    assert points("outliers.enabled=false", "region.rectangle=[0,0,16,12]") == [0, 32, 32, 32]
-    assert points("region.rectangle=[0,0,16,12]", "region.enabled=false") == points()
-
-
 def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(

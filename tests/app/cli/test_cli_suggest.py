@@ -6,15 +6,13 @@ from tactune.core.preset.file import save_preset
 from tactune.core.sources.presets import load_preset
 
 SCENE = "sim:cup?press=medium"
-SHIPPED = load_preset("simulator")
 
 
 @pytest.fixture
 def spoiled(tmp_path):
     """A preset without mask and with a wrong depth offset."""
-    save_preset(
-        SHIPPED.with_values({"mask.enabled": False, "alignment.depth_offset_m": 0.012}), tmp_path / "spoiled.json"
-    )
+    values = {"mask.enabled": False, "alignment.depth_offset_m": 0.012}
+    save_preset(load_preset("simulator").with_values(values), tmp_path / "spoiled.json")
     return tmp_path / "spoiled.json"
 
 
@@ -38,19 +36,13 @@ def test_the_present_frame_can_be_chosen(tactune):
     assert int(areas[0].split()[0].replace(",", "")) < int(areas[1].split()[0].replace(",", ""))
 
 
-SOURCE = "sim:cup?press=medium"
-
-
 def test_a_good_preset_has_no_findings(tactune):
-    finished = tactune("preset", "findings", "--source", SOURCE)
+    finished = tactune("preset", "findings", "--source", SCENE)
     assert (finished.status, finished.out) == (0, "no findings\n")
 
 
-def test_findings_are_printed_with_what_mends_them(tactune, tmp_path):
-    spoiled = tmp_path / "spoiled.json"
-    words = ("preset", "new", "--from", "simulator", "--set", "alignment.depth_offset_m=0.012", "--out", spoiled)
-    assert tactune(*words).status == 0
-    finished = tactune("preset", "findings", "--source", SOURCE, "--preset", spoiled, "--frame", 0)
+def test_findings_are_printed_with_what_mends_them(tactune, spoiled):
+    finished = tactune("preset", "findings", "--source", SCENE, "--preset", spoiled, "--frame", 0)
     assert finished.status == 1
-    assert finished.out.startswith("alignment.depth_offset_m: Peak of the differences at −")
+    assert "alignment.depth_offset_m: Peak of the differences at −" in finished.out
     assert "--set alignment.depth_offset_m=0.0" in finished.out

@@ -10,7 +10,7 @@ from PyQt6.QtTest import QTest
 from fakes import tiny_frame, tiny_rig
 from hands import press
 from tactune.app.document.document import Document, UntouchedStore
-from tactune.app.document.keeping import Autosave, unsaved_work
+from tactune.app.document.recovery import Autosave, unsaved_work
 from tactune.core.errors import PresetError
 from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset, now

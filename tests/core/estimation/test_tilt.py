@@ -16,7 +16,7 @@ from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
 PRESET = load_preset("simulator")
-FOCAL, CENTRE = 460.0, (325.0, 238.0)
+CENTRE = 325.0, 238.0
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tactune.core.model.clouds import ray_table
+from tactune.core.model.clouds import deproject, deproject_image, nearest_pixels, ray_table, valid_depth
+from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Distortion, Intrinsics
 
 COEFFICIENTS = (0.12, -0.22, 0.001, -0.0007, 0.08)
@@ -57,20 +56,6 @@ def test_projection_is_librealsenses_for_every_lens_model(rs, distortion):
     assert np.abs(lens.project(points) - theirs).max() < 1e-4
 
 
-@given(
-    u=st.floats(0, 639), v=st.floats(0, 479), depth=st.floats(0.05, 2.0),
-    distortion=st.sampled_from([Distortion.NONE, Distortion.BROWN_CONRADY, Distortion.INVERSE_BROWN_CONRADY]),
-    bend=st.floats(-0.05, 0.05),
-)  # fmt: skip
-def test_a_pixel_survives_deprojection_and_projection(u, v, depth, distortion, bend):
-    lens = camera(distortion, (bend, -bend, bend / 50, bend / 40, bend / 2))
-    ray = lens.normalise([[u, v]])
-    point = np.array([[ray[0, 0], ray[0, 1], 1.0]]) * depth
-    # librealsense's ten fixed-point steps converge more slowly for the inverse model
-    tolerance = 1e-3 if distortion is Distortion.INVERSE_BROWN_CONRADY else 1e-4
-    assert np.abs(lens.project(point) - [u, v]).max() < tolerance
-
-
 def test_pixels_beyond_the_fold_of_a_lens_have_no_ray_and_those_of_the_table_stay_at_its_rim():
     lens = camera("brown_conrady", (-0.3, 0.0, 0.0, 0.0, 0.0))
     rays, table = lens.rays(), ray_table(lens)
@@ -78,3 +63,15 @@ def test_pixels_beyond_the_fold_of_a_lens_have_no_ray_and_those_of_the_table_sta
     assert not seen[0, 0] and 0.9 < seen.mean() < 1.0
     assert (table[seen] == rays[seen]).all()
     assert np.hypot(*table[~seen].T).max() <= np.hypot(*rays[seen].T).max() * (1 + 1e-6)
+
+
+def test_a_measured_point_is_seen_at_its_pixel_and_nothing_behind_the_camera():
+    lens, counts = camera("none"), np.random.default_rng(0).integers(1, 9000, (480, 640)).astype(np.uint16)
+    counts[:8], counts[8] = 0, 65535
+    device, flat = DepthCamera(intrinsics=lens, depth_unit_m=0.0001), np.flatnonzero(valid_depth(counts))
+    image = deproject_image(counts, device).reshape(-1, 3)
+    points = deproject(counts, device, flat)
+    assert np.isnan(image[: 9 * 640]).all() and (image[9 * 640 :] == points).all()
+    row, column, inside = nearest_pixels(points.astype(np.float64), lens)
+    assert inside.all() and (640 * row + column == flat).all()
+    assert not nearest_pixels(-points.astype(np.float64), lens)[2].any()

@@ -1,6 +1,7 @@
 """Live topics: ROS 2 without ROS, received by Fast DDS and Cyclone DDS, and who may connect to the Foxglove server."""
 
 import os
+import signal
 import socket
 import threading
 import time
@@ -67,6 +68,22 @@ def test_fast_dds_receives_every_bit(processed, fast_dds_program, domain):
     assert bytes(image.data) == frame.tactile_depth.astype("<u2").tobytes()
     assert transforms.decoded("/tf").transforms[0].child_frame_id == "object"
     assert "tactile_depth_optical_frame" in {t.child_frame_id for t in transforms.decoded("/tf_static").transforms}
+
+
+@pytest.mark.long
+def test_a_subscriber_that_hangs_delays_neither_another_nor_the_end(processed, fast_dds_program, domain):
+    cloud = "/proximity/points"
+    with (
+        FastDds(fast_dds_program, domain, {cloud: "reliable"}) as quick,
+        FastDds(fast_dds_program, domain, {cloud: "reliable"}) as slow,
+        published(processed, DdsSink(domain)) as publisher,
+    ):
+        for each in (quick, slow):
+            each.wait_for(lambda each=each: each.counts[cloud])
+        slow.process.send_signal(signal.SIGSTOP)
+        before = quick.counts[cloud]
+        quick.wait_for(lambda: quick.counts[cloud] > before + 60)
+        assert publisher.status()[0].error == ""
 
 
 def udp_sockets():

@@ -242,15 +242,6 @@ def test_other_readers_see_patch_and_findings(shared):
         assert sum(1 for _ in bag.messages([connection])) == COUNT
 
 
-def test_tactune_opens_it_with_preset_and_untouched_frame(shared):
-    path, frames, preset, untouched = shared
-    with McapSource(path) as recording:
-        assert recording.preset() == preset
-        assert np.array_equal(recording.untouched().tactile_depth, untouched.tactile_depth)
-        for frame, read in zip(frames, recording, strict=True):
-            assert np.array_equal(read.proximity_depth, frame.proximity_depth)
-
-
 def test_the_command_shares_with_the_usual_preset(tactune, tmp_path):
     path = tmp_path / "b.mcap"
     assert tactune("convert", "sim:cup", path, "--share", "--frames", 2).status == 0

@@ -108,14 +108,6 @@ def test_a_file_that_is_no_preset_is_refused_in_words(text, words, tmp_path):
     assert len(str(caught.value)) < 500
 
 
-def test_missing_and_binary_files_are_refused_in_words(tmp_path):
-    with pytest.raises(PresetError, match=r"nowhere\.json.*No such file.*default"):
-        load_preset(tmp_path / "nowhere.json")
-    (tmp_path / "photo.json").write_bytes(b"\xff\xd8\xff")
-    with pytest.raises(PresetError, match="not a text file"):
-        load_preset(tmp_path / "photo.json")
-
-
 def test_a_preset_that_an_earlier_version_wrote_opens_with_all_that_it_holds():
     text = (Path(__file__).parents[2] / "data" / "first_preset.json").read_text()
     read, note = preset_and_note(text, "first")

@@ -105,14 +105,14 @@ def play(first, second, delays, patience_s=1.0):
     pairer = Pairer(PERIOD_S, patience_s)
     waits = itertools.cycle(delays)
     arrivals = []
-    for stream, add in ((first, pairer.add_first), (second, pairer.add_second)):
+    for stream, is_second in ((first, False), (second, True)):
         latest = 0.0
         for time_s in stream:
             latest = max(latest, time_s + next(waits))  # a stream arrives in order
-            arrivals.append((latest, time_s, add))
+            arrivals.append((latest, time_s, is_second))
     found = []
-    for arrival_s, time_s, add in sorted(arrivals, key=lambda each: each[0]):
-        add(Timed(time_s, arrival_s, time_s))
+    for arrival_s, time_s, is_second in sorted(arrivals, key=lambda each: each[0]):
+        pairer.add(Timed(time_s, arrival_s, time_s), second=is_second)
         found += pairer.take(arrival_s)
     end_s = max(arrival for arrival, _, _ in arrivals) + 2 * patience_s
     found += pairer.take(end_s)
