@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Annotated, Literal
@@ -40,6 +41,7 @@ def calibrate(
     model: Annotated[
         Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
     ] = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
@@ -61,7 +63,10 @@ def calibrate(
     report = fit(pairs, cameras, model)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out, exclusive=new)
-    say(report.words() + ("" if out is None else f"\nwrote {out}"))
+    if as_json:
+        typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
+    else:
+        say(report.words() + ("" if out is None else f"\nwrote {out}"))
 
 
 def check(

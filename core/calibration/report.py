@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..errors import minus
 from ..model.alignment import CalibrationRecord, ModelSummary, PointPair, SnapshotRecord
 from ..model.arrays import Float64Array
+from ..model.files import finite_or_none
 from ..model.frames import Rig
 from ..preset import HomographyAlignment, Preset, RigidAlignment, now
 from .agreement import Agreement
@@ -237,6 +238,27 @@ class CalibrationReport:
     def verdict(self) -> str:
         """Grade and next step, in words."""
         return f"{grade(self.chosen)} {next_step(self.chosen, self.depth_span_mm)}"
+
+    def to_json(self) -> dict[str, Any]:
+        aligned = self.chosen.fit.alignment
+        return {
+            "model": self.model,
+            "recommended": self.recommended,
+            "reason": self.reason,
+            "homography": None if aligned.homography is None else aligned.homography.tolist(),
+            "T_proximity_tactile": None if aligned.pose is None else aligned.pose.tolist(),
+            "depth_offset_m": aligned.offset_m,
+            **self.chosen.summary,
+            "alignment_mm": self.chosen.alignment_mm,
+            "verdict": self.verdict,
+            "warnings": list(self.warnings),
+            "pairs": [
+                {name: finite_or_none(value) if isinstance(value, float) else value for name, value in numbers.items()}
+                for numbers in (vars(pair) | {"residual_px": pair.residual_px} for pair in self.chosen.pairs)
+            ],
+            "refused": dict(self.refused),
+            "date": self.date.isoformat(),
+        }
 
     def apply_to(self, preset: Preset, *, snapshots: tuple[SnapshotRecord, ...] = ()) -> Preset:
         """Return the preset with this alignment, its record and its rig."""
