@@ -39,12 +39,6 @@ def test_the_tab_key_completes_commands():
     assert done.stdout.split() == ["record"]
 
 
-def test_the_compiler_is_imported_without_linear_algebra_and_garbage_is_still_collected():
-    program = "import gc, sys, tactune.core.contact.pipeline; print('scipy.linalg' in sys.modules, gc.isenabled())"
-    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == ["False", "True"]
-
-
 @pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
 def test_a_signal_while_the_command_is_imported_has_no_traceback(sent):
     program = (
