@@ -216,7 +216,7 @@ def scan(
     ],
     transform: Annotated[
         Path,
-        typer.Option(metavar="FILE", help='Pose of the scan: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.'),
+        typer.Option(metavar="FILE", help="Pose of the scan in the proximity camera: four lines of four numbers."),
     ],
     methods: NamesOption = "",
     frame: Annotated[int, typer.Option(min=0, metavar="N", help="The first frame, from 0.")] = 0,
@@ -228,7 +228,7 @@ def scan(
         typer.Option(
             metavar="NAME=VALUE",
             help="Touched paint: hue=[150,179] (0-179; may wrap), saturation=[40,255], value=[60,255], "
-            "least_area_mm2=20 and number of the largest spots (0: all) largest=0. May be repeated.",
+            "least_area_mm2=20. May be repeated.",
         ),
     ] = None,
     csv_file: CsvOption = None,
@@ -252,7 +252,7 @@ def scan(
         raise TactuneError(f"{scan} has no spot of the touched paint's colour ({settings}); change it with --paint")
     truth = lab_scan.scan_truth(loaded, contact, pose)
     records: list[Record] = []
-    empty = {"rmse_mm": None, "hausdorff_mm": None, "area_error_mm2": None, "failure": ""}
+    empty = {"rmse_mm": None, "area_error_mm2": None, "failure": ""}
     with open_with_progress(source, chosen) as opened:
         if opened.length is None and frames is None:
             raise TactuneError(f"{source} is endless; say how many frames to compare, such as --frames 30")

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array
-from ..model.frames import Rig
+from ..model.frames import Rig, pose_matrix
 from .geometry import Alignment, clicks_in_depth, ray_seen
 from .points import PointArrays, check_points, listed
 
@@ -158,8 +158,7 @@ class RigidModel(Model):
         self.space = Alignment(np.eye(4)).points_m(rig, points.places)
 
     def alignment(self, theta: Float64Array) -> Alignment:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(theta[:3])[0], theta[3:6]
+        pose = pose_matrix(cv2.Rodrigues(theta[:3])[0], theta[3:6])
         return Alignment(pose, offset_m=float(theta[6]) if self.offset else 0.0)
 
     def prior(self, theta: Float64Array) -> Float64Array:

@@ -18,7 +18,7 @@ from ..errors import CalibrationError, SourceError, foreign
 from ..model.arrays import AnyArray
 from ..model.clouds import valid_depth
 from ..model.frames import MAX_UNIT_M, ColorCamera, DepthCamera, Matrix4, Rig
-from ..model.intrinsics import Distortion, Intrinsics
+from ..model.intrinsics import Intrinsics
 from ..model.loading import decode_image, read_file
 from ..model.rig_file import validation_sentence
 from ..sources.folder import read_image, read_values
@@ -451,30 +451,21 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     rms, K, distortion, turns, shifts = cv2.calibrateCamera(
         [board] * len(found), found, size, guess, np.zeros(5), flags=cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS
     )
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    focal_px = float(min(K[0, 0], K[1, 1]))
     jacobians = [cv2.projectPoints(board, *pose, K, distortion)[1] for pose in zip(turns, shifts, strict=True)]
     focal_sd_px = _focal_sd(jacobians, max(rms / math.sqrt(2), _CORNER_PX))
-    if not (rms <= _MAX_RMS_PX and fx > 0 and fy > 0):
+    if not (rms <= _MAX_RMS_PX and focal_px > 0):
         raise CalibrationError(
             f"{folder}: the corners miss the fitted lens by {rms:.1f} px (RMS); check that the board is flat and that "
             "one camera took all pictures"
         )
-    uncertain = min(focal_sd_px / min(fx, fy), 1.0)
+    uncertain = min(focal_sd_px / focal_px, 1.0)
     if not uncertain <= _MAX_FOCAL_SHARE:
         raise CalibrationError(
             f"{folder}: these boards do not tell focal length from distance: fx is uncertain by {uncertain:.0%}; "
             "tilt the board by 20 degrees or more, in another direction in each picture"
         )
-    lens = Intrinsics(
-        width=size[0],
-        height=size[1],
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        distortion=Distortion.BROWN_CONRADY,
-        coefficients=tuple(np.ravel(distortion)[:5].tolist()),
-    )
+    lens = make_lens("plumb_bob", distortion.ravel()[:5].tolist(), K.ravel().tolist(), size).intrinsics
     check_lens(lens, str(folder))
     return LensFit(lens, float(rms), focal_sd_px, len(found), refused)
 

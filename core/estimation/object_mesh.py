@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import MissingExtraError, SourceError, TactuneError, foreign
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ..model.files import UNITS_M, user_path
+from ..model.frames import pose_matrix
 from ..sources.simulator.scenes import Scene
 
 #: Suffixes of meshes.
@@ -89,10 +90,9 @@ class ObjectMesh:
         principal = np.linalg.eigh((away * self.areas_m2[:, None]).T @ away)[1]
         places, found = self.sample(_SAMPLE)[0], [np.eye(4)]
         for axis in (*np.eye(3), *principal.T):
-            motion = np.eye(4)
-            motion[:3, :3] = 2 * np.outer(axis, axis) - np.eye(3)
-            motion[:3, 3] = self.centre_m - motion[:3, :3] @ self.centre_m
-            turned = places @ motion[:3, :3] + motion[:3, 3]
+            turn = 2 * np.outer(axis, axis) - np.eye(3)
+            motion = pose_matrix(turn, self.centre_m - turn @ self.centre_m)
+            turned = places @ turn + motion[:3, 3]
             apart = np.linalg.norm(self.closest(turned)[0] - turned, axis=1)
             if math.sqrt(float((apart**2).mean())) < _SAME_SHARE * self.radius_m:
                 found.append(motion)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from ..contact.alignment import tactile_pose
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, spread
 from ..model.clouds import ray_table
-from ..model.frames import Rig
+from ..model.frames import Rig, pose_matrix
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from .object_mesh import ObjectMesh
@@ -136,10 +136,7 @@ class Fit:
 def moved(pose: Float64Array, motion: Float64Array, centre_m: Float64Array, radius_m: float) -> Float64Array:
     """Return a pose after a motion of six lengths: a translation, and a turn about a centre times the radius."""
     turn = Rotation.from_rotvec(motion[3:] / radius_m).as_matrix()
-    result = np.eye(4)
-    result[:3, :3] = turn @ pose[:3, :3]
-    result[:3, 3] = turn @ (pose[:3, 3] - centre_m) + centre_m + motion[:3]
-    return result
+    return pose_matrix(turn @ pose[:3, :3], turn @ (pose[:3, 3] - centre_m) + centre_m + motion[:3])
 
 
 def motion_between(before: Float64Array, after: Float64Array, centre_m: Float64Array, radius_m: float) -> Float64Array:
@@ -286,10 +283,8 @@ class Search:
             seen = np.minimum(normals @ rotation.T @ toward, 0.0)  # area that faces the camera
             if not seen.any():
                 continue  # the back of an open surface
-            start = np.eye(4)
-            start[:3, :3] = rotation
-            start[:3, 3] = centre - rotation @ ((places * seen[:, None]).sum(axis=0) / seen.sum())
-            starts.append(start)
+            seen_centre = (places * seen[:, None]).sum(axis=0) / seen.sum()
+            starts.append(pose_matrix(rotation, centre - rotation @ seen_centre))
 
         def off_centre_m(found: Fit) -> float:
             own = found.pose

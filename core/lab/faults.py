@@ -17,7 +17,7 @@ import numpy as np
 
 from ..contact.pipeline import ContactPipeline
 from ..model.arrays import BoolArray
-from ..model.frames import Rig, SensorFrame
+from ..model.frames import Rig, SensorFrame, pose_matrix
 from ..model.patch import SURE
 from ..preset import Preset
 from ..rig.noise import measure_noise
@@ -207,9 +207,8 @@ def _turned(rig: Rig, degrees: float) -> Rig:
     """Return the rig with the pose that a preset believes although the tactile camera has turned."""
     if degrees == 0.0:
         return rig
-    turn = np.eye(4)
-    turn[:3, :3] = cv2.Rodrigues(np.radians([0.0, degrees, 0.0]))[0]
-    matrix = np.array(rig.T_proximity_tactile) @ turn
+    turn = cv2.Rodrigues(np.radians([0.0, degrees, 0.0]))[0]
+    matrix = np.array(rig.T_proximity_tactile) @ pose_matrix(turn, np.zeros(3))
     return rig.model_copy(update={"T_proximity_tactile": tuple(map(tuple, matrix.tolist()))})
 
 

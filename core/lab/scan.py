@@ -6,7 +6,6 @@ vertex colours are used.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +16,6 @@ import numpy.typing as npt
 from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ..calibration.geometry import moved
 from ..contact.masking import in_hsv_range
@@ -26,8 +24,8 @@ from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
 from ..model.files import user_path
 from ..model.frames import Matrix4, rigid_transform
-from ..model.loading import parse_json, read_file
-from ..model.metrics import nearest_distances
+from ..model.loading import read_file
+from ..model.metrics import symmetric_rmse_m
 from ..preset import MaskSection
 
 SUFFIXES: Final = (".ply", ".obj")
@@ -112,17 +110,16 @@ def _subdivided(mesh: Any, path: Path | str) -> Any:
 
 
 class PaintSettings(MaskSection):
-    """Colour of the touched paint, least area of spots and holes, and how many spots are kept, 0: all."""
+    """Colour of the touched paint, and least area of spots and holes."""
 
     least_area_mm2: Annotated[float, Field(ge=0.0)] = 20.0
-    largest: Annotated[int, Field(ge=0)] = 0
 
 
 PAINT: Final = PaintSettings(hue=(150, 179), saturation=(40, 255), value=(60, 255))
 
 
 def painted_contact(scan: Scan, paint: PaintSettings = PAINT) -> BoolArray:
-    """Tell which vertices are touched paint, (N,): small holes are filled, small spots removed, the largest kept."""
+    """Tell which vertices are touched paint, (N,): small holes are filled, small spots removed."""
     contact = in_hsv_range(scan.colors[None], paint)[0]
     least_m2 = 1e-6 * paint.least_area_mm2
     thirds = np.repeat(scan.areas_m2 / 3, 3)
@@ -132,11 +129,7 @@ def painted_contact(scan: Scan, paint: PaintSettings = PAINT) -> BoolArray:
     holes, areas = _spots(scan, ~contact, shares)
     contact = contact | (~contact & (areas[holes] < least_m2))
     spots, areas = _spots(scan, contact, shares)
-    contact = contact & (areas[spots] >= least_m2)
-    if paint.largest:
-        spots, areas = _spots(scan, contact, shares)
-        contact = contact & np.isin(spots, np.argsort(-areas, kind="stable")[: paint.largest])
-    return np.asarray(contact)
+    return np.asarray(contact & (areas[spots] >= least_m2))
 
 
 def _spots(scan: Scan, marked: BoolArray, shares: Float64Array) -> tuple[AnyArray, Float64Array]:
@@ -180,21 +173,15 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 
 
 def load_transform(path: Path | str) -> Matrix4:
-    """Read a rigid transform in metres: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers."""
+    """Read a rigid transform in metres, ``T_proximity_scan``: four lines of four numbers."""
     try:
         text = read_file(user_path(path), _FILE_BYTES).decode("utf-8-sig")
-        if text.lstrip().startswith("{"):
-            return rigid_transform(parse_json(text)["T_proximity_scan"])
         lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
         return rigid_transform([[float(word) for word in line] for line in lines])
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except (ValueError, TypeError, KeyError) as error:
-        detail = foreign(error, 120)
-        raise SourceError(
-            f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
-            "four lines of four numbers, metres"
-        ) from error
+    except ValueError as error:
+        raise SourceError(f"{path} holds no pose ({foreign(error, 120)}); it is four lines of four numbers") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,12 +207,6 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
 
 
 def score_against_scan(patch: npt.ArrayLike, area_mm2: float, truth: ScanTruth) -> dict[str, float]:
-    """Score a patch, (N, 3) in metres, and its area against the true contact: distances in mm, nan if one is empty."""
-    points = np.asarray(patch, np.float64).reshape(-1, 3)
-    area = {"area_error_mm2": area_mm2 - truth.area_mm2}
-    if len(points) == 0 or len(truth.points) == 0:
-        return {"rmse_mm": math.nan, "hausdorff_mm": math.nan} | area
-    there = 1e3 * nearest_distances(cKDTree(truth.points), points)
-    back = 1e3 * nearest_distances(cKDTree(points), truth.points)
-    rmse_mm = sum(math.sqrt(float(np.mean(apart**2))) for apart in (there, back)) / 2
-    return {"rmse_mm": rmse_mm, "hausdorff_mm": float(max(there.max(), back.max()))} | area
+    """Score a patch, (N, 3) in metres, and its area against the true contact; the RMSE is nan if one is empty."""
+    rmse_mm = 1e3 * symmetric_rmse_m(patch, truth.points)
+    return {"rmse_mm": rmse_mm, "area_error_mm2": area_mm2 - truth.area_mm2}

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ..errors import FrameError
-from .arrays import AnyArray, BoolArray, Float32Array, Uint8Array, Uint16Array
+from .arrays import AnyArray, BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 from .intrinsics import Intrinsics
 
 #: Raw counts that mean *no depth*; a D405 stream really contains 65535.
@@ -52,6 +53,13 @@ def rigid_transform(matrix: Any) -> Matrix4:
         raise ValueError(f"the last row of a pose is 0 0 0 1, this one is {array[3].tolist()}")
     rows: Any = tuple(tuple(float(value) for value in row) for row in array)
     return rows  # type: ignore[no-any-return]
+
+
+def pose_matrix(rotation: npt.ArrayLike, shift_m: npt.ArrayLike) -> Float64Array:
+    """Return the pose (4, 4) of a rotation (3, 3) and a translation (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, shift_m
+    return pose
 
 
 def camera_pose(matrix: Any) -> Matrix4:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +75,8 @@ class TruthTree:
         points = np.asarray(patch, np.float64).reshape(-1, 3)
         if self._tree.n == 0 or len(points) == 0:
             return math.nan
-        return (_rms(nearest_distances(self._tree, points)) + _rms(nearest_distances(_tree(points), self._sample))) / 2
+        there, back = self._tree.query(points)[0], _tree(points).query(self._sample)[0]
+        return (_rms(there) + _rms(back)) / 2
 
 
 def _tree(points: Float64Array) -> cKDTree:
@@ -85,9 +86,5 @@ def _tree(points: Float64Array) -> cKDTree:
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
-def nearest_distances(tree: cKDTree, points: Float64Array) -> Float64Array:
-    return np.asarray(tree.query(points)[0], np.float64)
-
-
-def _rms(distances: Float64Array) -> float:
+def _rms(distances: Any) -> float:
     return math.sqrt(float(np.mean(np.square(distances))))

@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import SourceError
 from ..model.arrays import AnyArray, Float64Array
 from ..model.files import recording_files, user_path
-from ..model.frames import DepthCamera, camera_pose
+from ..model.frames import DepthCamera, camera_pose, pose_matrix
 from ..model.intrinsics import Distortion, Intrinsics
 from .base import Progress, part_of
 from .cameras.camera import Calibration
@@ -316,10 +316,8 @@ class Db3File(RecordingFile):
 
     def _pose(self, topic: str) -> Float64Array:
         """Its rotation is written column by column."""
-        facts, matrix = self._names(topic), np.eye(4)
-        matrix[:3, :3] = np.reshape(_numbers(facts, "rotation"), (3, 3)).T
-        matrix[:3, 3] = _numbers(facts, "translation")
-        return matrix
+        facts = self._names(topic)
+        return pose_matrix(np.reshape(_numbers(facts, "rotation"), (3, 3)).T, _numbers(facts, "translation"))
 
     def _times(self, topics: Collection[tuple[str, str]]) -> Times:
         times: dict[str, tuple[list[float], str]] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -416,7 +415,10 @@ KINDS: dict[str, Kind] = {
     "cloud.csv": cloud("a.csv"),
     "points": Kind(lambda f, n: write_points(f / "a.csv", POINTS[n:]), lambda f: read_pairs(f / "a.csv")),
     "transform": Kind(
-        text("a.json", json.dumps({"T_proximity_scan": POSE})), lambda f: load_transform(f / "a.json"), 400, ours=False
+        text("a.txt", "\n".join(" ".join(map(str, row)) for row in POSE)),
+        lambda f: load_transform(f / "a.txt"),
+        400,
+        ours=False,
     ),
     "poses": Kind(write_poses),
     "layout": Kind(lambda f, n: save_layout(f / "a.json")),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Final
 
@@ -33,8 +32,8 @@ def write_painted_scan(source: SimulatorSource, index: int, path: Path) -> tuple
     colors += _NOISE * np.random.default_rng(1).standard_normal(colors.shape)
     painted = np.clip(np.round(colors), 0, 255).astype(np.uint8)
     trimesh.Trimesh(vertices, triangles, vertex_colors=painted, process=False).export(path)
-    transform = path.with_suffix(".transform.json")
-    transform.write_text(json.dumps({"T_proximity_scan": source.facts(index).T_proximity_object}))
+    transform = path.with_suffix(".transform.txt")
+    transform.write_text("\n".join(" ".join(map(str, row)) for row in source.facts(index).T_proximity_object))
     return path, transform
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ...errors import SourceError
-from ...model.frames import DepthCamera, Matrix4, camera_pose
+from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.loading import decode_image
 from ..base import CameraOption, CameraRole
 from ..lens import Lens, make_lens
@@ -227,10 +227,7 @@ def _lens(frame: Any) -> Lens:
 
 def _pose(depth: Any, color: Any) -> Matrix4:
     extrinsic = depth.get_stream_profile().get_extrinsic_to(color.get_stream_profile())
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.asarray(extrinsic.rot).reshape(3, 3)
-    matrix[:3, 3] = 1e-3 * np.asarray(extrinsic.transform).ravel()
-    return camera_pose(matrix)
+    return camera_pose(pose_matrix(np.reshape(extrinsic.rot, (3, 3)), 1e-3 * np.ravel(extrinsic.transform)))
 
 
 def _rgb(color: Any) -> Any:

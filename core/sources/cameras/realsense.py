@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ...errors import MissingExtraError, SourceError
-from ...model.frames import DepthCamera, Matrix4, camera_pose
+from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
 from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Images
@@ -332,10 +332,8 @@ def _lens(profile: Any) -> Intrinsics:
 
 def _pose(source: Any, target: Any) -> Matrix4:
     extrinsics = source.get_extrinsics_to(target)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.asarray(extrinsics.rotation).reshape(3, 3).T  # column-major in the driver
-    matrix[:3, 3] = extrinsics.translation
-    return camera_pose(matrix)
+    rotation = np.reshape(extrinsics.rotation, (3, 3)).T  # column-major in the driver
+    return camera_pose(pose_matrix(rotation, extrinsics.translation))
 
 
 def _explain(info: DeviceInfo, error: RuntimeError) -> str:

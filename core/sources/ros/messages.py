@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array
+from ...model.frames import pose_matrix
 from ..base import Progress
 from ..ros_image import DamagedFileError
 
@@ -104,12 +105,9 @@ def matrix_of(transform: Any) -> Float64Array:
     from scipy.spatial.transform import Rotation  # slow to import
 
     q, t = transform.rotation, transform.translation
-    matrix = np.eye(4)
     if not any((q.x, q.y, q.z, q.w)):
         return np.full((4, 4), np.nan)
-    matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    matrix[:3, 3] = t.x, t.y, t.z
-    return matrix
+    return pose_matrix(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (t.x, t.y, t.z))
 
 
 #: What ``ros2 bag record --compression-mode`` writes begins so: a message in any container, or a whole file.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...model.arrays import Float32Array, Float64Array, Uint8Array, Uint16Array
 from ...model.clouds import nearest_pixels
-from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, rigid_transform
+from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, pose_matrix, rigid_transform
 from ...model.intrinsics import Intrinsics
 from .membrane import (
     ATMOSPHERE_PA,
@@ -82,9 +82,7 @@ def simulator_rig() -> Rig:
 
 
 def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Matrix4:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = turn(degrees), translation_m
-    return rigid_transform(matrix)
+    return rigid_transform(pose_matrix(turn(degrees), translation_m))
 
 
 def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:

@@ -48,16 +48,12 @@ def area_mm2(scan, contact):
 
 
 @pytest.mark.parametrize(
-    "least, largest, expected",
-    [
-        (40, 0, 707 + 314),  # the hole is filled, the small spot dropped
-        (0, 1, 707 - 28),
-        (800, 0, 0),
-    ],
+    ("least", "expected"),
+    [(40, 707 + 314), (800, 0)],  # the hole is filled, the small spot dropped
 )
-def test_small_spots_and_holes_go_and_the_largest_stay(least, largest, expected):
+def test_small_spots_and_holes_go(least, expected):
     scan = plate(spots)
-    contact = painted_contact(scan, PAINT.model_copy(update={"least_area_mm2": least, "largest": largest}))
+    contact = painted_contact(scan, PAINT.model_copy(update={"least_area_mm2": least}))
     assert area_mm2(scan, contact) == pytest.approx(expected, abs=30)
 
 
@@ -113,7 +109,6 @@ def test_the_scores_with_the_true_transform_are_the_direct_ones(tactune, painted
     assert (status, err) == (0, "")
     (row,) = csv.DictReader((tmp_path / "scores.csv").read_text().splitlines())
     assert float(row["rmse_mm"]) == pytest.approx(direct_mm, abs=0.1)
-    assert float(row["hausdorff_mm"]) > float(row["rmse_mm"])
     assert (row["sequence"], row["failure"]) == (str(FRAME), "")
 
 
