@@ -250,7 +250,8 @@ def _warnings(pairs: list[PointPair], rigid: Fit | None, rig: Rig) -> tuple[str,
     pose, stated = np.asarray(rigid.alignment.pose), np.asarray(rig.T_proximity_tactile)
     apart = float(np.linalg.norm(pose[:3, 3] - stated[:3, 3]))
     turned = np.degrees(Rotation.from_matrix(pose[:3, :3] @ stated[:3, :3].T).magnitude())
-    turn_rad, shift_m = rigid.pose_sigma
+    variances = np.diag(rigid.covariance)
+    turn_rad, shift_m = np.sqrt([variances[:3].sum(), variances[3:6].sum()]).tolist()  # all directions together
     if apart <= _STATED_POSE_M + 4 * shift_m and turned <= _STATED_POSE_DEG + 4 * np.degrees(turn_rad):
         return ()
     return (

@@ -248,12 +248,6 @@ class Fit:
         """Covariance of theta under the observed noise, shape (P, P)."""
         return self.noise_factor**2 * self.stated_covariance
 
-    @property
-    def pose_sigma(self) -> tuple[float, float]:
-        """Standard deviations of a pose's rotation (rad) and translation (m), all directions together."""
-        variances = np.diag(self.covariance)
-        return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:6].sum()))
-
     def whitened_residuals(self) -> Float64Array:
         """Return the residuals of all pairs with unit noise, shape (N, 2)."""
         return np.asarray((self.whitening @ self.residuals_px[:, :, None])[:, :, 0])

@@ -184,11 +184,6 @@ class Reader:
         """Return the messages that have come since, the oldest first; at most `_QUEUE` wait."""
         return [each.data for each in self.entity.take(N=_QUEUE) if isinstance(each, Raw)]
 
-    @property
-    def has_publisher(self) -> bool:
-        """Whether somebody publishes the topic now."""
-        return bool(self.entity.get_matched_publications())
-
 
 class Listener(Participant):
     """A participant that reads topics, also of the loopback interface: a publisher on this computer may use either."""

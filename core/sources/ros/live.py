@@ -371,7 +371,7 @@ class Ros2Camera(Camera):
             if lens is not None and len(depth.waiting) >= _TIMED and (color is None or color_lens is not None):
                 break
             if time.monotonic() > end_s:
-                if not depth.reader.has_publisher:
+                if not depth.reader.entity.get_matched_publications():
                     raise SourceError(f"nobody publishes {depth.topic}; start the camera's ROS 2 driver")
                 without = [s.topic for s in (depth, color) if s is not None and s.find_lens() is None]
                 lacks = f"no lens of {without[0]} has come" if without else f"{len(depth.waiting)} images have come"

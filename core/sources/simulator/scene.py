@@ -89,8 +89,7 @@ def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
     """Return proximity, tactile and colour cameras in the membrane's frame, centred between the first two."""
     assert rig.proximity_color is not None
     assert rig.T_proximity_tactile is not None
-    proximity_membrane = np.eye(4)
-    proximity_membrane[:3, 3] = 0.020, 0.0, RIM_M
+    proximity_membrane = pose_matrix(np.eye(3), (0.020, 0.0, RIM_M))
     tactile = np.linalg.inv(np.array(rig.T_proximity_tactile)) @ proximity_membrane
     colour = np.array(rig.proximity_color.T_color_depth) @ proximity_membrane
     return (
