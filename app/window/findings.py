@@ -26,6 +26,7 @@ LINGER_MS = 1000
 #: Smallest height of the rail, pixels.
 RAIL_PX = 112
 
+_MARGINS = 8, 4, 8, 4
 _NOTHING = "Nothing is wrong with this frame."
 _NO_FRAME = "No patch was examined yet."
 
@@ -52,7 +53,7 @@ class FindingsRail(QWidget):
         content = QWidget()
         vbox(self._cards, STRETCH, within=content, margins=0)
         self._area = scrolling(content)
-        vbox(self.title, (self._area, 1), within=self, margins=(8, 4, 8, 4), spacing=4)
+        self._column = vbox(self.title, (self._area, 1), within=self, margins=_MARGINS, spacing=4)
         self.setMinimumHeight(RAIL_PX)
         self.setAccessibleName("Findings")
         self.show_findings((), examined=False)
@@ -64,6 +65,11 @@ class FindingsRail(QWidget):
         for card in cards or [NoteLabel(_NOTHING if examined else _NO_FRAME)]:
             self._cards.addWidget(card)
             card.show()  # at once, so that the list is never painted empty
+
+    def leave_free(self, below_px: int) -> None:
+        """Let the list end above what covers the lower edge: the rest of a long finding can be scrolled to."""
+        left, top, right, bottom = _MARGINS
+        self._column.setContentsMargins(left, top, right, max(bottom, below_px))
 
     def focus_first(self) -> None:
         button = next(iter(self._area.findChildren(QPushButton)), None)

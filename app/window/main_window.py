@@ -176,6 +176,7 @@ class MainWindow(QMainWindow):
         self.setCentralWidget(centre)
         for part in (self.opening, self.export_bar):
             self.messages.pin(part)
+        self.messages.covers.connect(self.rail.leave_free)
         self.setStatusBar(self.status)
         self.setAcceptDrops(True)
         self.setMinimumSize(960, 500)

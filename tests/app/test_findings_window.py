@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QPushButton
+from PyQt6.QtWidgets import QApplication, QPushButton, QScrollArea
 
 from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, image_position, show_source, text_of
 from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
+from tactune.widgets.basics.controls import NoteLabel
+from tactune.widgets.basics.messages import Severity
 
 WIDTH, HEIGHT = 160, 120
 RIG = tiny_rig(WIDTH, HEIGHT)
@@ -74,6 +76,18 @@ def test_the_rail_mends_and_nothing_moves(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
     assert window.document.preset.alignment.depth_offset_m == 0.0
     qtbot.waitUntil(lambda: found(window))
+
+
+def test_a_message_covers_no_finding(window, qtbot):
+    said, title = window.rail.findChildren(NoteLabel)[0], place(window.rail.title, window)
+    top = place(said, window)[0]
+    window.messages.show_message("worker", Severity.ERROR, "The camera was unplugged. " * 4)
+    qtbot.waitUntil(window.messages.isVisible)
+    area = window.rail.findChild(QScrollArea)
+    shown = [window.messages, area.viewport()]
+    qtbot.waitUntil(lambda: place(shown[0], window)[0].y() >= place(shown[1], window)[0].y() + shown[1].height())
+    assert area.viewport().height() > said.fontMetrics().height()
+    assert place(window.rail.title, window) == title and place(said, window)[0] == top, "nothing moves"
 
 
 def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from enum import StrEnum
 from html import escape
 
-from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
@@ -141,6 +141,8 @@ class Messages(QWidget):
     With ``room_px`` all but a single large message keep to that height at the lower edge.
     """
 
+    covers = pyqtSignal(int)  # so many pixels at the lower edge
+
     def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0, room_px: int = 0) -> None:
         super().__init__(over)
         self._over, self._free, self._room_px = over, free, room_px
@@ -272,6 +274,7 @@ class Messages(QWidget):
         self.setMask(self.childrenRegion())  # beside a narrow frame the mouse reaches what is below
         self.setVisible(y > 0)
         self.raise_()
+        self.covers.emit(y + _MARGIN_PX if y else 0)
 
 
 def _height(frame: QFrame, width: int) -> int:
