@@ -177,10 +177,10 @@ class TimeStrip(QWidget):
         self._line = pg.PlotCurveItem(connect="finite")
         self._cursor = pg.InfiniteLine(angle=90)
         self._text = pg.TextItem(anchor=(1, 0))
-        self._text.setParentItem(self._box)
+        self._text.setParentItem(plot)  # the box would clip what stands above it
         for item in (*self._outside, self._line, self._cursor):
             plot.addItem(item, ignoreBounds=True)
-        self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -_TOP_PX - 3))
+        self._box.sigResized.connect(self.show_words)
 
     @property
     def curve(self) -> Curve:
@@ -322,8 +322,10 @@ class TimeStrip(QWidget):
         self._write(self._words or (self.curve.missing if empty else ""))
 
     def _write(self, text: str) -> None:
-        room = int(max(100, self._box.width() - 16))
-        self._text.setText(self.fontMetrics().elidedText(text, Qt.TextElideMode.ElideRight, room))
+        room, metrics = int(max(100, self._box.width() - 16)), self.fontMetrics()
+        beside = metrics.horizontalAdvance(text) <= room - self.curve_box.width()
+        self._text.setPos(self._box.geometry().right() - 2, -3 if beside else _TOP_PX - 3)
+        self._text.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
         self._text.setVisible(bool(text))  # an empty one would still have its background
 
     def _recolor(self, colors: ThemeColors) -> None:
