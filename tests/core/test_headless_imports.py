@@ -1,30 +1,9 @@
-"""The core is headless: importing all of its modules imports no window system and no Open3D."""
+"""The core is headless, which `make lint` checks module by module: nothing loads what nobody has asked for."""
 
 import subprocess
 import sys
 
 import pytest
-
-WALK = """
-import importlib, pkgutil, sys
-import tactune.core
-names = [module.name for module in pkgutil.walk_packages(tactune.core.__path__, "tactune.core.")]
-for name in names:
-    importlib.import_module(name)
-roots = {name.partition(".")[0] for name in sys.modules}
-print(len(names), sorted(roots & {"PyQt6", "pyqtgraph", "open3d", "pyrealsense2"}))
-print(sorted(name for name in sys.modules if name.startswith(("tactune.widgets", "tactune.app"))))
-"""
-
-
-def test_importing_all_of_the_core_imports_nothing_of_the_window():
-    done = subprocess.run([sys.executable, "-c", WALK], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    counted, upwards = done.stdout.splitlines()
-    number, _, heavy = counted.partition(" ")
-    assert int(number) > 20
-    assert heavy == "[]"
-    assert upwards == "[]"
 
 
 @pytest.mark.parametrize(

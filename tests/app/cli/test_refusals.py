@@ -114,7 +114,3 @@ def test_a_message_prints_little_of_a_file_and_no_control_characters(tactune, re
     said = tactune(*words.split()).sentence
     assert said.strip().isprintable()
     assert said.count("wxyz") < 50
-
-
-def test_a_name_with_a_line_break_gives_one_sentence(tactune):
-    assert "no file a" in tactune("run", "--preset", "no file a\nb").sentence

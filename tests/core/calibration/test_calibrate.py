@@ -9,7 +9,6 @@ from rigs import save_rig
 from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration.calibrate import calibrate
 from tactune.core.calibration.check import compare_alignments, is_worse
-from tactune.core.calibration.geometry import Alignment
 from tactune.core.calibration.points import write_points
 from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
@@ -37,17 +36,6 @@ def pair_of(name, proximity, tactile, depth_m=None):
 def usual(rig):
     """The calibration from twelve usual clicks."""
     return calibrate(clicked(rig), rig)
-
-
-def test_of_6000_pairs_the_right_70_percent_are_used(rig):
-    rng = np.random.default_rng(0)
-    tactile = np.column_stack([rng.uniform((80, 80), (560, 400), (6000, 2)), rng.uniform(0.2, 0.3, 6000)])
-    proximity = Alignment.of_rig(rig).pixels(rig, tactile) + rng.normal(0, 0.5, (6000, 2))
-    wrong = np.arange(6000) % 10 >= 7
-    proximity[wrong] = rng.permutation(proximity[wrong])
-    report = calibrate([pair_of(i, proximity[i], uv, z) for i, (*uv, z) in enumerate(tactile)], rig)
-    assert report.model == "rigid", report.reason
-    assert abs(len(report.chosen.excluded) - wrong.sum()) < 60
 
 
 def test_points_that_span_depth_make_it_recommend_rigid(rig):
