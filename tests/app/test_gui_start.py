@@ -13,7 +13,7 @@ from fakes import FakeSource
 from hands import press
 from tactune.app.gui import run_gui, show_window
 from tactune.app.settings import Settings
-from tactune.app.worker import beside
+from tactune.app.worker import background
 from tactune.app.worker.results import CloudName
 from tactune.core.contact import CONTACT_TESTS
 from tactune.core.errors import ExportError
@@ -132,8 +132,8 @@ def test_clouds_are_shown_while_the_contact_test_is_compiled(monkeypatch, watche
         progress(0.2, words)
         assert go_on.wait(60)
 
-    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
-    monkeypatch.setattr(beside, "warm_up_if_needed", compile_slowly)
+    monkeypatch.setattr(background, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(background, "warm_up_if_needed", compile_slowly)
     watched.open(FakeSource(length=1))
     qtbot.waitUntil(lambda: watched.last is not None and watched.last.rendered.no_contact == words)
     shown = watched.last
@@ -156,8 +156,8 @@ def test_the_patch_of_the_old_test_stays_while_another_is_compiled(monkeypatch, 
 
     shown = window.views.views[CloudName.PATCH]
     old = len(window.result.patch.points)
-    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
-    monkeypatch.setattr(beside, "warm_up_if_needed", compile_slowly)
+    monkeypatch.setattr(background, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(background, "warm_up_if_needed", compile_slowly)
     window.worker._compiler._ready = {("tolerance", False)}
     window.document.edit("contact_test", "membrane")
     qtbot.waitUntil(lambda: "tolerance" in shown.badge.text())
@@ -176,8 +176,8 @@ def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, wa
             progress(0.5, "Compiling")
             told.set()
 
-    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
-    monkeypatch.setattr(beside, "warm_up_if_needed", compile_for_ever)
+    monkeypatch.setattr(background, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(background, "warm_up_if_needed", compile_for_ever)
     watched.open(FakeSource(length=1))
     qtbot.waitUntil(told.is_set)
     watched.worker.shut_down()
