@@ -213,12 +213,6 @@ def test_a_preset_is_used_at_once_while_no_frame_comes(watched, fed, qtbot, pres
     assert len(fed.given) == 1
 
 
-def test_another_source_opens_while_no_frame_comes(watched, fed, qtbot):
-    watched.open(FakeSource(length=1))
-    qtbot.waitUntil(lambda: watched.last.source.name == "tiny")
-    assert fed.closed
-
-
 def test_shutting_down_while_no_frame_comes(qtbot, preset):
     watched = Watched(preset)
     fed = FakeCameras()

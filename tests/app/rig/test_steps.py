@@ -98,7 +98,7 @@ def test_capturing_is_cancelled_and_ends_with_its_source(qtbot, window):
     assert window.document.preset.untouched is None
     opened.start.click()
     show_source(qtbot, window, FakeSource(name="other"))  # ends capturing, too
-    qtbot.waitUntil(lambda: not opened.busy)
+    qtbot.waitUntil(lambda: not opened.busy and cameras.closed)
     assert opened.sentence.text() == gather.OTHER_SOURCE
 
 
