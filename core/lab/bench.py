@@ -52,7 +52,7 @@ _CPU_FACTS: Final = Path("/proc/cpuinfo")
 # The frames that engines are measured on: simulated presses, and synthetic contacts of a given size
 
 #: Depths of the simulated presses, metres past first touch.
-LIGHT_M, MEDIUM_M = 0.003, 0.024
+_LIGHT_M, _MEDIUM_M = 0.003, 0.024
 
 #: Engines are variants of this contact test.
 _TEST: Final = {"contact_test": "tolerance"}
@@ -133,8 +133,8 @@ def _counts(depth_m: Float64Array, unit_m: float) -> Uint16Array:
 SCENES: Final[dict[str, Callable[[], BenchScene]]] = {
     "empty": lambda: synthetic_scene(0),  # nothing within 25 mm of the membrane
     "untouched": lambda: _simulated("cup", -math.inf),  # before the first touch, with reflecting prints
-    "light-touch": lambda: _simulated("cup", LIGHT_M),
-    "cup-medium": lambda: _simulated("cup", MEDIUM_M),
+    "light-touch": lambda: _simulated("cup", _LIGHT_M),
+    "cup-medium": lambda: _simulated("cup", _MEDIUM_M),
     "octopus-high": lambda: _simulated("octopus", math.inf),
     "noisy-51k": lambda: synthetic_scene(51_000, noise_m=0.002),
     "full-contact": lambda: synthetic_scene(640 * 480),

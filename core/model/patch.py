@@ -190,9 +190,9 @@ class PressureFacts:
     relative: Lazy[Float32Array]
     on_membrane: Lazy[Float32Array]
     at_points: Lazy[Float32Array]
-    #: The same at flat proximity pixels over its standard deviation, in the better of two windows.
+    #: Contact pressure over its standard deviation at flat pixels of the patch, in the better of two windows.
     sigmas_at: Callable[[IndexArray], Float64Array]
-    relative_sigma: float  # Its standard deviation; nan where nothing is seen
+    relative_sigma: float  # Standard deviation of the contact pressure; nan where nothing is seen
     #: Force of the object on the membrane over the inflation, mm^2, in the proximity depth frame, with the standard
     #: deviations; 0 without contact, nan if the free membrane around the contact is not seen.
     force_mm2: tuple[float, float, float]

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from ..pixels import Pixels
     from .surface import Cells, Grid, Shape
 
-#: Contact pressure exceeds its noise by this many standard deviations in the wider of two windows, by the second number
-#: in the finer one, and the membrane has moved by more than the third, metres.
+#: In contact the pressure exceeds this many standard deviations in both of two windows, or, where no cell around does,
+#: in the wider one, and the second number of them in the finer; the membrane has moved by more than the third, metres.
 PRESSURE_SIGMAS, _LEAST_SIGMAS, _MOVED_M = 3.5, 2.0, 0.0007
 #: Window of the curvature, cells: smallest and largest; that of the slopes and of the edge of contact.
 _WINDOWS, _FINE_WINDOW = (1.5, 6.0), 1.3
@@ -136,14 +136,15 @@ class PressureTest(ContactTest):
     def _values(self, now: _Now, contact: Candidates, frame: SensorFrame) -> dict[str, Any]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
         assert self._rest is not None
-        rig, grid, relative = self.pixels.rig, self._rest.grid, now.relative.astype(np.float32)
+        rig, grid, sigmas = self.pixels.rig, self._rest.grid, now.sigmas
+        relative = now.relative.astype(np.float32)
         on_membrane = Lazy(lambda: grid.to_image(relative, rig.tactile.intrinsics.shape, math.nan))
 
         def at(pixels: IndexArray) -> Float32Array:
             return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
 
         def sigmas_at(pixels: IndexArray) -> Float64Array:
-            return now.sigmas[self._cells_of(self.pixels.tactile_pixels(pixels, frame))]
+            return sigmas[self._cells_of(self.pixels.tactile_pixels(pixels, frame))]
 
         def image() -> Float32Array:
             if not rig.has_proximity:
@@ -222,9 +223,10 @@ class _Rest:
         self.fine = _Scale(self.grid, (depth_m, share), self.window, self.sigma_per_m)
         grid, cells = surface.halved(self.grid), surface.halved_cells(depth_m, share)
         self.wide = _Scale(grid, cells, self.window, self.sigma_per_m / 2**3)
-        #: By these the pressure is divided, the second without what hardly bulges: in a still wider window, lest noise
-        #: of the untouched frame look like pressure.
+        #: The pressure is a change of the curvature over this one, of a still wider window: noise of the untouched frame
+        #: must not look like pressure.
         self.usual_per_m = np.where(np.isfinite(wide), wide, self.fine.bulge_per_m)
+        #: The same; nan where the membrane hardly bulges, so that no pressure is known.
         self.bulging_per_m = np.where(self.usual_per_m > 0.2 * self.curvature_per_m, self.usual_per_m, np.nan)
 
 

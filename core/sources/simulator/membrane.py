@@ -131,7 +131,7 @@ _OVERSHOT: Final = 1e3
 #: Shortest step, as a share of the step that the start's stiffness allows.
 _SHORTEST_SHARE: Final = 0.05
 _MAX_ITERATIONS: Final = 6000
-#: Steps of the descent in which a node that sticks may come off before it slides.
+#: Projections, two in each step of the descent, in which a node that sticks may be off before it slides.
 _PATIENCE: Final = 100
 
 
@@ -175,7 +175,7 @@ class _Object(NamedTuple):
 class _Grips(NamedTuple):
     """Where nodes stick to the object: point and normal there, (N, 3); NaN for nodes that slide.
 
-    A node that has come off in as many steps as its patience, (N,), slides from then on: one that sticks and comes off
+    A node that was off in as many projections as its patience, (N,), slides from then on: one that sticks and comes off
     in turn would never be in balance.
     """
 
@@ -456,7 +456,10 @@ class Membrane:
         nodes, share = start.copy(), 0.8
         while True:
             step = share / self._curvature(nodes)
-            residual, reaction, gap = _relax(nodes, sheet, thing, grips, step, tolerance, limit)
+            own = _Grips(
+                *(each.copy() for each in grips)
+            )  # what lets go in an attempt that overshoots holds in the next
+            residual, reaction, gap = _relax(nodes, sheet, thing, own, step, tolerance, limit)
             # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
             if np.isfinite(residual) or share < _SHORTEST_SHARE:
                 break

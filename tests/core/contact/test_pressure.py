@@ -211,17 +211,20 @@ def test_a_gentle_touch_below_the_noise_of_a_narrow_window_is_found(at_rest):
         patch = at_rest.process(frame)
         assert len(patch.points)
         assert np.median(away_px[patch.mask]) < 20
+    assert at_rest.process(frames[0]).doubt.touch_probability > 0.5, "the doubt counts that window, too"
 
 
-@pytest.mark.parametrize(("sensor", "seed"), [("l515-d405", 0), ("heavy", 1)])
-def test_what_hovers_is_no_contact_and_noise_in_a_narrow_window_is_none(sensor, seed):
+@pytest.mark.parametrize(("sensor", "seed", "most"), [("l515-d405", 0, 2), ("l515-d405", 1, 2), ("heavy", 1, 0)])
+def test_what_hovers_is_not_claimed_and_noise_in_a_narrow_window_is_no_contact(sensor, seed, most):
     def noisy(**options):
         return SimulatorSource("cup", seed, sensor=sensor, cells=COARSE, variant=Variant(**options), cameras="tactile")
 
     with noisy(press="none") as source:
         at_rest = ContactPipeline(measured_rig(PRESSURE, source), source.rig, untouched_frame(source))
     with noisy(gap_mm=2.0) as source:
-        assert not any(len(at_rest.process(source.read(number)).points) for number in range(10))
+        found = [at_rest.process(source.read(number)) for number in range(10)]
+    assert not any(claimed(patch) for patch in found)
+    assert sum(len(patch.points) > 0 for patch in found) <= most
 
 
 @pytest.mark.parametrize("offset_m", [(0.170, 0.0), (0.0, 0.105), (0.0, 0.150)])

@@ -15,6 +15,8 @@ from tactune.core.sources.simulator.membrane import (
     object_pose,
 )
 from tactune.core.sources.simulator.objects import BALL, BALL_RADIUS_M, OBJECTS, distance, normal, turn
+from tactune.core.sources.simulator.scene import Press, simulator_rig
+from tactune.core.sources.simulator.scenes import Variant, resolve_scene
 
 COARSE = MembraneDesign(cells=(36, 20))
 
@@ -194,6 +196,12 @@ def test_a_ball_in_a_flat_taut_sheet_has_the_force_and_contact_of_a_surface_of_c
     taut = design.stiffness_n_m * (1 - design.prestretch**-6)  # of neo-Hookean rubber, per present length
     assert radius == pytest.approx(a, abs=1e-3)
     assert force == pytest.approx(2 * np.pi * taut * a * a / BALL_RADIUS_M, rel=0.05)
+
+
+def test_a_node_that_sticks_and_comes_off_in_turn_slides_until_all_is_in_balance():
+    scene = resolve_scene("cup", Variant(press="high", membrane="sticky"), (56, 32))
+    *_, (_, _, state) = Press(scene, Membrane(scene.design), simulator_rig()).states()
+    assert state.residual < 1e-3
 
 
 def test_a_frames_truth_holds_force_and_pressure_in_its_own_camera():
