@@ -9,6 +9,8 @@ from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
 
+from ...core.contact.alignment import UNKNOWN_POSE
+from ...core.errors import as_sentence
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import NoteLabel, push_button, timer
@@ -169,7 +171,7 @@ class FindingsControl(QObject):
         rows: dict[str, str] = {}
         for finding, shown in findings:  # the first of a field: causes come before consequences
             rows.setdefault(finding.field, shown.sentence)
-        findings = [(Finding("rig", "", said), ShownFinding(said)) for said in self._warnings] + findings
+        findings += [(Finding(said, "", said), ShownFinding(said)) for said in self._warnings]  # without a button
         self._panel.show_findings(rows)
         result = self._context.result
         self._judged = self._preset is not None and result is not None and result.patch is not None
@@ -187,7 +189,7 @@ class FindingsControl(QObject):
         if explaining is not None:
             self._view.set_message(explaining.sentence)
             self._offered = explaining
-        elif result.problem and result.rendered.clouds.get(CloudName.TACTILE, ...) is None:
+        elif result.problem == as_sentence(UNKNOWN_POSE):
             self._offered = Finding("no_pose", "", result.problem, action="calibrate")
         elif result.rendered.no_contact_action:
             rendered = result.rendered

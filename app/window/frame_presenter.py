@@ -50,7 +50,10 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], shown: bool) -> str
 
 
 def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
-    """Return a line on a proximity pixel: distances, gap and colour, and why it was kept or dropped."""
+    """Return a line on a proximity pixel: why it was kept or dropped, distances, gap, and colour.
+
+    A narrow window cuts the end of it, so the reason comes before the numbers.
+    """
     if patch is None:
         return color
     height, width = patch.rig.proximity.intrinsics.shape
@@ -72,7 +75,7 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
     if two and math.isfinite(relative):
         difference = f"(dp − dt) / dp = {minus(f'{relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)')}"
     distances = f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}"
-    return "   ".join(filter(None, (f"({u}, {v})", *distances, gap, difference, color, why)))
+    return "   ".join(filter(None, (f"({u}, {v})", why, *distances, gap, difference, color)))
 
 
 def _metres(value: float) -> str:

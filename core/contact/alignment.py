@@ -21,6 +21,8 @@ from .kernels import chain as kernels
 from .kernels.lenses import lens_parameters
 from .kernels.threads import in_parallel
 
+UNKNOWN_POSE = "the pose of the tactile camera is not known: calibrate, or set alignment.rigid.T_proximity_tactile"
+
 
 @dataclass(frozen=True, eq=False)
 class AlignmentModel:
@@ -94,9 +96,7 @@ def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
     calibrated = section.rigid.T_proximity_tactile if rig.has_proximity else None
     pose = calibrated or rig.T_proximity_tactile
     if pose is None:
-        raise RigMismatchError(
-            "the pose of the tactile camera is not known: calibrate, or set alignment.rigid.T_proximity_tactile"
-        )
+        raise RigMismatchError(UNKNOWN_POSE)
     return np.asarray(pose)
 
 

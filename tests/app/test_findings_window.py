@@ -100,11 +100,17 @@ def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
 
 
 def test_a_pose_that_is_not_known_is_told_once_with_the_button_that_calibrates(window, qtbot):
+    window.actions_.show_tactile.trigger()  # a view that is hidden says nothing of the pose
     rig = RIG.model_copy(update={"T_proximity_tactile": None})
     show_source(qtbot, window, FakeSource(rig=rig, make=disagreeing_frame, name="no pose"), 3)
     view = window.views.views[CloudName.PATCH]
     qtbot.waitUntil(lambda: "pose of the tactile camera is not known" in view.notice.text())
     assert window.messages.sentences() == [] and view.header.entries == []
+    window.document.edit_many({"region.enabled": True, "region.rectangle": (WIDTH, 0, 9, 9)}, title="Region")
+    qtbot.waitUntil(lambda: "move the region into the image" in view.notice.text())
+    assert not view.notice.button.isVisible(), "calibrating does not mend it"
+    window.document.undo_stack.undo()
+    qtbot.waitUntil(view.notice.button.isVisible)
     QTest.mouseClick(button(view, "Calibrate"), LEFT)
     qtbot.waitUntil(lambda: window.calibration.wizard is not None and window.calibration.wizard.isVisible())
 

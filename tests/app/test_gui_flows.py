@@ -140,6 +140,10 @@ def test_hovering_says_why_a_pixel_was_kept(window, qtbot):
     assert "= +0.8% (+2.1 mm)" in text
     QTest.mouseMove(pane.view.viewport(), image_position(pane, 2, 2).toPoint())
     qtbot.waitUntil(lambda: "Dropped" in window.status.readout.text())
+    window.resize(window.minimumSize())
+    label, text = window.status.readout, window.status.readout.text()
+    shown = label.fontMetrics().elidedText(text, Qt.TextElideMode.ElideRight, label.width() - 4)
+    assert shown != text and text.split("   ")[1] in shown, "numbers are cut before the reason"
 
 
 def test_pause_step_and_seek(window, qtbot):
