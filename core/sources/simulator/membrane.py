@@ -456,9 +456,8 @@ class Membrane:
         nodes, share = start.copy(), 0.8
         while True:
             step = share / self._curvature(nodes)
-            own = _Grips(
-                *(each.copy() for each in grips)
-            )  # what lets go in an attempt that overshoots holds in the next
+            # what lets go in an attempt that overshoots holds in the next
+            own = _Grips(grips.point.copy(), grips.normal, grips.patience.copy())
             residual, reaction, gap = _relax(nodes, sheet, thing, own, step, tolerance, limit)
             # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
             if np.isfinite(residual) or share < _SHORTEST_SHARE:
