@@ -223,8 +223,8 @@ class _Rest:
         self.fine = _Scale(self.grid, (depth_m, share), self.window, self.sigma_per_m)
         grid, cells = surface.halved(self.grid), surface.halved_cells(depth_m, share)
         self.wide = _Scale(grid, cells, self.window, self.sigma_per_m / 2**3)
-        #: Pressure is a change of the curvature over this one, of a still wider window: noise of the untouched frame must
-        #: not look like pressure.
+        #: Pressure is a change of the curvature over this one, of a still wider window: noise of the untouched frame
+        #: must not look like pressure.
         self.usual_per_m = np.where(np.isfinite(wide), wide, self.fine.bulge_per_m)
         #: The same; nan where the membrane hardly bulges, so that no pressure is known.
         self.bulging_per_m = np.where(self.usual_per_m > 0.2 * self.curvature_per_m, self.usual_per_m, np.nan)
