@@ -121,6 +121,8 @@ class Judge:
         wrong = ["cameras moved"] if self._cameras_moved else []
         if facts is not None and not LIMITS_PER_M[0] <= facts.curvature_per_m <= LIMITS_PER_M[1]:
             wrong.append("outside the model")
+        if facts is not None and facts.missed_parts:
+            wrong.append("found with a larger bias")
         light = self._pixels.light
         if light is not None and light.covered(frame.proximity_color) < _FEWER_PRINTS:
             wrong.append(LOST_PRINTS)

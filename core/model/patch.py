@@ -171,6 +171,7 @@ class MembraneFacts:
     bias_seen: bool  # Whether prints tell it in this frame
     bias_sigma_m: float  # Its standard deviation
     bias_change_m: float  # What prints read beyond the rig's measured bias; 0 where they agree, or without prints
+    missed_parts: bool  # Whether parts of contact were added that only a larger bias shows
     curvature_per_m: float  # Twice the mean curvature of the free membrane as measured; nan if it cannot be measured
     used_curvature_per_m: float  # The one that the test used
     #: (H, W): The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.

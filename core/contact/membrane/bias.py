@@ -6,7 +6,7 @@ bias, then correct the bias by the median residual in contact. The first bias is
 touches, and contact shrinks. With a bias that is too small nothing may touch, and there is no residual.
 
 Where nothing presses, a bias can't be told from a gap: the free membrane above an object looks the same for any bias.
-So the bias of a small contact is the rig's measured bias. Where that is not certain, a larger bias is taken.
+So the bias of a small contact is the rig's measured bias.
 """
 
 from __future__ import annotations
@@ -64,9 +64,6 @@ _DRIFT_SIGMA_M: Final = 0.0007
 #: On prints most differences agree with their most frequent one within this number of standard deviations of a pixel;
 #: where fewer than the second share do, the proximity camera looks through the mask's colour.
 _PRINT_SIGMAS, _MIN_AGREEING = 2.5, 0.5
-#: A bias without firm contact is raised by this share of its deviation, limited, metres: to miss contact is worse.
-_LEAN: Final = 0.4
-_MAX_LEAN_SIGMA_M: Final = 0.001
 
 
 @dataclass(frozen=True)
@@ -152,9 +149,8 @@ def frame_bias(
     bias_m = prior.mean_m
     if near is None or abs(bias_m - start_m) > _SAME_M:
         near = _near(differences, bias_m)
-    if prior.measured:  # small contact does not tell it better
-        bias_m += _LEAN * min(prior.sigma_m, _MAX_LEAN_SIGMA_M)
-    elif (cells := cells_near(near, bias_m)) is not None:
+    # small contact does not tell a measured bias better
+    if not prior.measured and (cells := cells_near(near, bias_m)) is not None:
         bias_m, _ = _joint(cells, bias_m, prior)
     return FrameBias(bias_m, 0.0, prior.measured, seen, prior.sigma_m, change_m), near
 

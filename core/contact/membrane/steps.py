@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -32,6 +32,7 @@ from .equilibrium import (
     Equilibrium,
     cells_of,
     measured_curvature_per_m,
+    settle,
     surroundings,
     to_pixels,
     usable_curvature_per_m,
@@ -49,6 +50,10 @@ _ALIGN_ANEW_M: Final = 0.001
 #: A measured gap is certainly larger than the largest gap if it exceeds it by this number of standard deviations of the
 #: noise, and by the errors of the model, metres.
 _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
+#: A part of contact is missed if the bias may be larger by this number of standard deviations, limited, metres, if less
+#: than this share of the part was found, and if it is larger than this, m^2: smaller ones hover as often as they touch.
+#: Beside firm contact of the last area the bias is too certain.
+_MISSED_SIGMAS, _MAX_SIGMA_M, _FOUND_SHARE, _MISSED_M2, _LARGE_M2 = 2.0, 0.0005, 0.2, 48e-6, 0.002
 #: Error of the boundary as a multiple of how far the bias's error moves it; where all of it borders on cells without
 #: depth, and at least, metres. A cell has no depth where this share has none; and the residual of cells in contact as a
 #: multiple of a pixel's noise.
@@ -57,8 +62,6 @@ _PER_STRIP, _UNSEEN_ERROR_M, _BOUNDARY_FLOOR_M, _MAX_UNSEEN, _USUAL_RESIDUAL = 1
 _HARDLY, _HOLLOW_CELLS = 0.4, 3.0
 #: A cell and its four neighbours.
 _CROSS: Final = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-#: A membrane is not nearer to the camera, metres.
-_NEAREST_M: Final = 0.1
 #: Sigma of the Gaussian window over which the depth of the points is averaged, pixels, and its reach.
 POINT_WINDOW_PX: Final = 2.0
 _POINT_REACH_PX: Final = 4
@@ -81,7 +84,7 @@ class Measured:
 def differences_at(
     frame: SensorFrame, pixels: Pixels, section: MembraneSection, known: RigBias, frame_bias_m: float = 0.0
 ) -> Differences | None:
-    """Return the differences of both depths less the rig's and the frame's bias; None if fewer are usable than contact.
+    """Return the differences of both depths less the rig's and the frame's bias; None if none is usable.
 
     Only image tiles in which both depths can be near each other are compared.
     """
@@ -107,7 +110,7 @@ def differences_at(
         bias_m,
         difference[SOME][state[SOME] == kernels.MASKED],
     )
-    return None if _too_few(found, section.min_area_mm2, pixels.rig) else found
+    return found if found.usable.any() else None
 
 
 def _used(tiles: BoolArray, axis: int, step: int, size: int) -> tuple[int, int]:
@@ -119,16 +122,6 @@ def _used(tiles: BoolArray, axis: int, step: int, size: int) -> tuple[int, int]:
     first = max(int(places[0]) * step - 2 * CELL_PX, 0)
     grid = math.lcm(step, CELL_PX, COARSE_CELL_PX)
     return first // grid * grid, min((int(places[-1]) + 1) * step + 2 * CELL_PX, size)
-
-
-def _too_few(differences: Differences, min_area_mm2: float, rig: Rig) -> bool:
-    """Return whether the usable pixels together are smaller than the smallest contact."""
-    camera, count = rig.proximity.intrinsics, int(np.count_nonzero(differences.usable))
-    pixels = 1e-6 * min_area_mm2 * camera.fx * camera.fy  # at a depth of 1 m
-    if count * _NEAREST_M**2 > pixels:
-        return False
-    farthest = differences.counts[differences.usable].max(initial=0)
-    return count == 0 or count * float(differences.depth_m(farthest)) ** 2 < pixels
 
 
 def look(
@@ -146,12 +139,11 @@ def look(
     return difference, state
 
 
-def measure(found: Differences, frame: SensorFrame, preset: Preset, pixels: Pixels, known: RigBias) -> Measured | None:
-    """Return the curvature of the free membrane and the frame's bias, beside the differences near that bias.
-
-    None if there are fewer than a contact.
-    """
-    rig, section = pixels.rig, preset.membrane
+def measure(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Measured | None:
+    """Return the curvature of the free membrane and the frame's bias, beside the differences near that bias, if any."""
+    rig, section, known = pixels.rig, preset.membrane, rig_bias(preset.noise, pixels.rig)
+    if (found := differences_at(frame, pixels, section, known)) is None:
+        return None
     curvature_per_m = measured_curvature_per_m(frame, preset.alignment, rig)
     free_per_m = usable_curvature_per_m(curvature_per_m)
     bias = FrameBias(known=False, sigma_m=math.hypot(known.mean_m, known.sigma_m))  # unless it is corrected
@@ -178,6 +170,31 @@ def measured_cells(measured: Measured, frame: SensorFrame, section: MembraneSect
     near_m = measured.bias.bias_m, _NEAR_M
     image, free_per_m = membrane_image(frame, pixels), measured.free_per_m
     return cells_of(measured.differences, image, CELL_PX, section.shape_px, free_per_m, near_m, pixels.rig)
+
+
+def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, section: MembraneSection) -> Equilibrium:
+    """Return the solution with the parts of contact that only the largest likely bias shows, if anything touches.
+
+    Parts that are found keep their edge: a larger bias would move it outwards.
+    """
+    import cv2
+
+    bias, gap_m = measured.bias, section.gap_m
+    told = section.bias and (measured.known.measured or bias.seen)
+    if not told or bias.firm_m2 > _LARGE_M2:
+        return solution
+    largest_m = bias.bias_m + _MISSED_SIGMAS * min(bias.sigma_m, _MAX_SIGMA_M)
+    largest = settle(cells, largest_m, measured.known.length_m(section.trust_m), solution)
+    _, part = cv2.connectedComponents((largest.gap_m <= gap_m).view(np.uint8))
+    areas_m2, found = cells.area_m2, solution.gap_m <= gap_m
+    area_m2, found_m2 = (np.bincount(part.ravel(), each.ravel()) for each in (areas_m2, areas_m2 * found))
+    missed = (found_m2 < _FOUND_SHARE * area_m2) & (area_m2 > _MISSED_M2)
+    missed[0] = False
+    if not missed.any() or found_m2.max() < _FOUND_SHARE * _MISSED_M2:
+        return solution
+    here = cv2.dilate(missed[part].view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    names = (field.name for field in fields(Equilibrium))
+    return Equilibrium(*(np.where(here, getattr(largest, name), getattr(solution, name)) for name in names))
 
 
 def within_edge(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> BoolArray:
@@ -239,9 +256,9 @@ def surface_points(contact: BoolArray, measured: Measured, pixels: Pixels) -> Ca
 
 
 def facts(
-    measured: Measured, cells: Cells, solution: Equilibrium, gap_m: float, contact: Candidates, rig: Rig
+    measured: Measured, cells: Cells, solution: Equilibrium, missed: bool, gap_m: float, contact: Candidates, rig: Rig
 ) -> MembraneFacts:
-    """Return what was measured besides contact, for messages."""
+    """Return what was measured besides contact, for messages; ``missed``: parts were added to the solution."""
     differences, bias, shape = measured.differences, measured.bias, rig.proximity.intrinsics.shape
 
     def gap_image() -> Float32Array:
@@ -264,6 +281,7 @@ def facts(
         bias_seen=bias.seen,
         bias_sigma_m=bias.sigma_m,
         bias_change_m=bias.change_m,
+        missed_parts=missed,
         curvature_per_m=measured.curvature_per_m,
         used_curvature_per_m=measured.free_per_m,
         gap_m=Lazy(gap_image),
@@ -334,11 +352,9 @@ def firm_contact_bias(preset: Preset, rig: Rig) -> Callable[[SensorFrame], tuple
     """
     plain = preset.with_values({"contact_test": "membrane", "membrane.bias": True}).model_copy(update={"noise": None})
     pixels = Pixels(plain, rig, make_alignment(plain.alignment, rig), Workspace(rig))
-    known = rig_bias(None, rig)
 
     def bias_of(frame: SensorFrame) -> tuple[float, float] | None:
-        found = differences_at(frame, pixels, plain.membrane, known)
-        measured = None if found is None else measure(found, frame, plain, pixels, known)
+        measured = measure(frame, plain, pixels)
         if measured is None or measured.bias.firm_m2 == 0:
             return None
         return measured.differences.bias_m + measured.bias.bias_m, measured.bias.firm_m2

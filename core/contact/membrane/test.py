@@ -58,41 +58,40 @@ class MembraneTest(ContactTest):
 
     _measured: Measured | None
     _cells: Cells | None
-    _solution: Equilibrium
+    _found: Equilibrium  # For the bias of the frame
+    _solution: Equilibrium  # With missed parts
     _touching: BoolArray
     _large: BoolArray
     _contact: Candidates
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
         from . import steps
-        from .bias import rig_bias
         from .equilibrium import settle
 
         pixels, section = self.pixels, preset.membrane
         if due("fusion"):
-            known = rig_bias(preset.noise, pixels.rig)
-            found = steps.differences_at(frame, pixels, section, known)
-            self._measured = None if found is None else steps.measure(found, frame, preset, pixels, known)
-        if (measured := self._measured) is None:
-            return Found(NO_CANDIDATES, lambda: steps.classify(frame, preset, pixels), ("no candidates",))
+            self._measured = steps.measure(frame, preset, pixels)
+        measured = self._measured
         if due("equilibrium"):
-            self._cells = steps.measured_cells(measured, frame, section, pixels)
-            if self._cells is not None:
+            self._cells = None if measured is None else steps.measured_cells(measured, frame, section, pixels)
+            if measured is not None and self._cells is not None:
                 trust_m = measured.known.length_m(section.trust_m)
-                self._solution = settle(self._cells, measured.bias.bias_m, trust_m)
-        if (cells := self._cells) is None:
+                self._found = settle(self._cells, measured.bias.bias_m, trust_m)
+        if measured is None or (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: steps.classify(frame, preset, pixels), ("no candidates",))
         if due("edge"):
+            self._solution = steps.with_missed_parts(self._found, cells, measured, section)
             self._touching = steps.within_edge(cells, self._solution, section.gap_m, measured)
         if due("clusters"):
             self._large = steps.large_contacts(self._touching, measured.differences, section.min_area_mm2, pixels.rig)
         if due("points"):
             self._contact = steps.surface_points(self._large, measured, pixels)
         touching, large, contact, solution = self._touching, self._large, self._contact, self._solution
+        missed = solution is not self._found
         return Found(
             contact,
             lambda: steps.provenance(frame, preset, pixels, measured, cells, solution, touching, large, contact),
-            membrane=steps.facts(measured, cells, solution, section.gap_m, contact, pixels.rig),
+            membrane=steps.facts(measured, cells, solution, missed, section.gap_m, contact, pixels.rig),
         )
 
     @classmethod
