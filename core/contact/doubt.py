@@ -51,8 +51,8 @@ _SMALL_M2: Final = 15e-6
 #: A contact with a boundary error of more than this share of its radius may be none: odds fall by the second, natural
 #: logarithm, for each radius that the error is larger. Beyond the third share it is said.
 _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
-#: There is too little depth beyond this share of the boundary or of the tactile depth; more noise beyond this ratio.
-_MANY_UNSEEN, _NOISIER = 0.1, 1.35
+#: There is too little depth beyond this share of the boundary, or of the tactile depth; more noise beyond this ratio.
+_MANY_UNSEEN, _MANY_LOST, _NOISIER = 0.06, 0.1, 1.35
 #: A dent is missing, and said to be, from this evidence on.
 _MISSING: Final = -1.0
 #: Of the inflation when it was untouched, the share below which the membrane counts as deflated.
@@ -129,7 +129,7 @@ class Judge:
         boundary = Boundary(math.nan, 0.0, 1.0) if facts is None else facts.boundary.get()
         if boundary.noise_ratio > _NOISIER:
             wrong.append("more noise than measured")
-        if max(boundary.unseen_share, self._lost_share(frame.tactile_depth)) > _MANY_UNSEEN:
+        if boundary.unseen_share > _MANY_UNSEEN or self._lost_share(frame.tactile_depth) > _MANY_LOST:
             reasons.append("too little depth")
         odds = math.log(probability / (1 - probability)) + len(wrong) * math.log(_WRONG_ODDS)
         return odds, (*reasons, *wrong), 1e3 * boundary.error_m

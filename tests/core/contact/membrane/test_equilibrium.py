@@ -9,8 +9,10 @@ from scipy.optimize import lsq_linear
 
 from rigs import one_place_rig
 from tactune.core.contact.kernels import equilibrium as kernels
+from tactune.core.contact.membrane.bias import FrameBias
 from tactune.core.contact.membrane.equilibrium import Cells, measured_curvature_per_m, over_window, settle
-from tactune.core.contact.membrane.steps import boundary_of
+from tactune.core.contact.membrane.section import MembraneSection
+from tactune.core.contact.membrane.steps import boundary_of, with_missed_parts
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
@@ -45,19 +47,40 @@ def equations(cells, inside, trust_m, bias_m=0.0):
     return kernels.Equations(places, links, floors, even), loads
 
 
+def square_cells(difference_m, push):
+    known, one, sides = np.zeros(push.shape, bool), np.ones_like(push), np.full((2, *push.shape), SIDE_M, np.float32)
+    known[1:-1, 1:-1] = True
+    share = known.astype(np.float32)
+    return Cells(difference_m * one, share, 0 * one, share, over_window(share, 3), known, known, push, sides, one, 3)
+
+
 def test_a_hollow_that_is_hardly_pressed_makes_the_boundary_less_certain():
     flat, hollow = np.full((2, COUNT, COUNT), 10.0, np.float32)
     hollow[:, 25:36] = -10.0
-    known, one, sides = np.zeros(flat.shape, bool), np.ones_like(flat), np.full((2, *flat.shape), SIDE_M, np.float32)
-    known[1:-1, 1:-1] = True
     rig = SimpleNamespace(pixel_sigma_m=0.001)
     measured = SimpleNamespace(known=rig, bias=SimpleNamespace(sigma_m=0.0003), free_per_m=10.0)
     errors_m = []
     for push in (flat, hollow):
-        share = known.astype(np.float32)
-        cells = Cells(-0.001 * one, share, 0 * one, share, over_window(share, 3), known, known, push, sides, one, 3)
+        cells = square_cells(-0.001, push)
         errors_m.append(boundary_of(cells, settle(cells, 0.0, 0.016), 5e-5, measured).error_m)
     assert errors_m[1] > errors_m[0] + 0.002
+
+
+@pytest.mark.parametrize(
+    ("pressed_m", "side", "measured", "added"),
+    [(-0.001, 14, True, True), (-0.001, 14, False, False), (0.004, 14, True, False), (-0.001, 6, True, False)],
+)
+def test_a_part_that_only_a_larger_bias_shows_is_added_to_another_one(pressed_m, side, measured, added):
+    difference_m = np.full((COUNT, COUNT), 0.004, np.float32)
+    centre = 20 + side // 2, 40 + side // 2
+    difference_m[20:40, 8:24], difference_m[20 : 20 + side, 40 : 40 + side] = pressed_m, 0.0004
+    cells = square_cells(difference_m, np.full((COUNT, COUNT), 10.0, np.float32))
+    known = SimpleNamespace(measured=measured, length_m=lambda usual_m: 0.001)
+    bias = FrameBias(sigma_m=0.0004)
+    found = settle(cells, 0.0, 0.001)
+    solution = with_missed_parts(found, cells, SimpleNamespace(known=known, bias=bias), MembraneSection())
+    assert (solution.gap_m[centre] <= 5e-5) == added and found.gap_m[centre] > 2e-4
+    assert (solution.gap_m[:, :30] == found.gap_m[:, :30]).all()
 
 
 @pytest.mark.parametrize("seed", range(4))
