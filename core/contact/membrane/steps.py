@@ -149,7 +149,7 @@ def measure(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Measured | No
     bias = FrameBias(known=False, sigma_m=math.hypot(known.mean_m, known.sigma_m))  # unless it is corrected
     near: Differences | None = found
     if section.bias:
-        membrane = membrane_image(frame, pixels)
+        membrane = MembraneImage(flat(frame.tactile_depth), pixels.alignment.tables)
         bias, near = frame_bias(found, membrane, known, free_per_m, rig)
         if abs(bias.bias_m) > _ALIGN_ANEW_M:
             again = differences_at(frame, pixels, section, known, bias.bias_m)
@@ -161,15 +161,10 @@ def measure(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Measured | No
     return None if near is None else Measured(near, known, bias, curvature_per_m, free_per_m)
 
 
-def membrane_image(frame: SensorFrame, pixels: Pixels) -> MembraneImage:
-    return MembraneImage(flat(frame.tactile_depth), pixels.alignment.tables)
-
-
 def measured_cells(measured: Measured, frame: SensorFrame, section: MembraneSection, pixels: Pixels) -> Cells | None:
     """Average the differences near the bias and the object's shape over cells; None for too small an image."""
-    near_m = measured.bias.bias_m, _NEAR_M
-    image, free_per_m = membrane_image(frame, pixels), measured.free_per_m
-    return cells_of(measured.differences, image, CELL_PX, section.shape_px, free_per_m, near_m, pixels.rig)
+    near_m, image = (measured.bias.bias_m, _NEAR_M), MembraneImage(flat(frame.tactile_depth), pixels.alignment.tables)
+    return cells_of(measured.differences, image, CELL_PX, section.shape_px, measured.free_per_m, near_m, pixels.rig)
 
 
 def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, section: MembraneSection) -> Equilibrium:
@@ -180,8 +175,7 @@ def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, s
     import cv2
 
     bias, gap_m = measured.bias, section.gap_m
-    told = section.bias and (measured.known.measured or bias.seen)
-    if not told or bias.firm_m2 > _LARGE_M2:
+    if not section.bias or bias.firm_m2 > _LARGE_M2 or not (measured.known.measured or bias.seen):
         return solution
     largest_m = bias.bias_m + _MISSED_SIGMAS * min(bias.sigma_m, _MAX_SIGMA_M)
     largest = settle(cells, largest_m, measured.known.length_m(section.trust_m), solution)
@@ -226,8 +220,6 @@ def large_contacts(contact: BoolArray, differences: Differences, min_area_mm2: f
     pixels = found + (found // width) * (camera.width - width) + (top * camera.width + left)
     depth = differences.depth_m(differences.counts.reshape(-1)[found]) * differences.usable.reshape(-1)[found]
     large = in_large_cluster(depth, pixels, camera, min_area_mm2)
-    if large.all():
-        return contact
     kept = np.zeros_like(contact)
     kept.reshape(-1)[found[large]] = True
     return kept
@@ -256,9 +248,10 @@ def surface_points(contact: BoolArray, measured: Measured, pixels: Pixels) -> Ca
 
 
 def facts(
-    measured: Measured, cells: Cells, solution: Equilibrium, missed: bool, gap_m: float, contact: Candidates, rig: Rig
-) -> MembraneFacts:
-    """Return what was measured besides contact, for messages; ``missed``: parts were added to the solution."""
+    measured: Measured, cells: Cells, solution: Equilibrium, found: Equilibrium,
+    gap_m: float, contact: Candidates, rig: Rig,
+) -> MembraneFacts:  # fmt: skip
+    """Return what was measured besides contact, for messages; ``found`` is the solution without missed parts."""
     differences, bias, shape = measured.differences, measured.bias, rig.proximity.intrinsics.shape
 
     def gap_image() -> Float32Array:
@@ -281,7 +274,7 @@ def facts(
         bias_seen=bias.seen,
         bias_sigma_m=bias.sigma_m,
         bias_change_m=bias.change_m,
-        missed_parts=missed,
+        missed_parts=solution is not found,
         curvature_per_m=measured.curvature_per_m,
         used_curvature_per_m=measured.free_per_m,
         gap_m=Lazy(gap_image),
@@ -319,10 +312,9 @@ def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Mea
 def classify(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Uint8Array:
     """Return each pixel's verdict of depth, region, range and colour; OUTSIDE_TOLERANCE where contact is possible."""
     verdicts = pixels.classify(frame)
-    height, width = verdicts.shape
     every_tile = np.ones(pixels.coarse.shape, np.bool_)  # not the pipeline's own, which other threads may be using
-    mean_m = rig_bias(preset.noise, pixels.rig).mean_m
-    _, state = look(frame, pixels, every_tile, (0, 0, width, height), mean_m, _WIDE_M, ROWS)
+    known = rig_bias(preset.noise, pixels.rig)
+    _, state = look(frame, pixels, every_tile, (0, 0, *verdicts.shape[::-1]), known.mean_m, _WIDE_M, ROWS)
     verdicts[verdicts == Provenance.CONTACT] = Provenance.OUTSIDE_TOLERANCE
     verdicts[state == kernels.MASKED] = Provenance.MASKED
     return verdicts

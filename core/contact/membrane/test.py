@@ -87,11 +87,10 @@ class MembraneTest(ContactTest):
         if due("points"):
             self._contact = steps.surface_points(self._large, measured, pixels)
         touching, large, contact, solution = self._touching, self._large, self._contact, self._solution
-        missed = solution is not self._found
         return Found(
             contact,
             lambda: steps.provenance(frame, preset, pixels, measured, cells, solution, touching, large, contact),
-            membrane=steps.facts(measured, cells, solution, missed, section.gap_m, contact, pixels.rig),
+            membrane=steps.facts(measured, cells, solution, self._found, section.gap_m, contact, pixels.rig),
         )
 
     @classmethod
