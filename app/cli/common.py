@@ -182,9 +182,10 @@ class CliProgress(Progress):
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second ends the program as usual.
+    """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second acts as usual.
 
-    One that follows at once is part of the first: its exception could leave a lock taken while everything closes.
+    One that follows at once is part of the first: its exception would interrupt what the first one ends. At the end of
+    the block the signals act as before, so a signal while a source closes is not held back.
     """
     stopped, first_s = threading.Event(), math.inf
     ends = [signal.SIGINT, signal.SIGTERM]
@@ -236,11 +237,8 @@ def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
 
 
 @contextmanager
-def open_with_progress(name: str, preset: Preset | None = None, *, compiles: bool = False) -> Iterator[FrameSource]:
-    """Open a source, live cameras as a preset says, and warn where preset and rig do not match or frames were lost.
-
-    ``compiles`` what the first frame of the preset would wait for; live frames that are lost meanwhile do not count.
-    """
+def open_checked(name: str, preset: Preset | None = None) -> Iterator[FrameSource]:
+    """Open a source, live cameras as a preset says, and warn where preset and rig do not match."""
     from ...core.sources.registry import open_source
 
     with CliProgress() as progress:
@@ -250,18 +248,32 @@ def open_with_progress(name: str, preset: Preset | None = None, *, compiles: boo
     with source:
         if preset is not None:
             warn(*check_rig(preset, source.rig))
-            if compiles:
-                # after a wrong source was told: the compiler takes half of the time in which it is
-                from ...core.warmup import warm_up_if_needed
+        yield source
 
-                with CliProgress() as progress:
-                    warm_up_if_needed(progress.preparing, preset)
-        lost_before = source.health().dropped
-        try:
-            yield source
-        finally:
-            if lost := source.health().dropped - lost_before:
-                warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses this computer or its USB")
+
+@contextmanager
+def compiled_for(preset: Preset | None, source: FrameSource) -> Iterator[None]:
+    """Compile what the first frame of a preset would wait for, and warn of frames that are lost from then on."""
+    if preset is not None:
+        from ...core.warmup import (
+            warm_up_if_needed,
+        )  # the compiler takes half of the time in which a wrong name is told
+
+        with CliProgress() as progress:
+            warm_up_if_needed(progress.preparing, preset)
+    lost_before = source.health().dropped
+    try:
+        yield
+    finally:
+        if lost := source.health().dropped - lost_before:
+            warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses this computer or its USB")
+
+
+@contextmanager
+def open_with_progress(name: str, preset: Preset | None = None, *, compiles: bool = False) -> Iterator[FrameSource]:
+    """Open a source as `open_checked` does; ``compiles`` what the preset needs, and warn of lost frames."""
+    with open_checked(name, preset) as source, compiled_for(preset if compiles else None, source):
+        yield source
 
 
 @contextmanager

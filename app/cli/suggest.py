@@ -17,6 +17,8 @@ from .common import (
     PresetOption,
     SourceOption,
     chosen_preset,
+    compiled_for,
+    open_checked,
     open_with_progress,
     say,
     usable,
@@ -99,7 +101,7 @@ def findings(
     The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
     """
     chosen, origin = chosen_preset(preset, source)
-    with open_with_progress(source, chosen, compiles=True) as opened:
+    with open_checked(source, chosen) as opened:
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
         from ...core.rig.untouched import kept_untouched
         from ...core.tuning.advice.findings import Examiner, unusable_test
@@ -109,9 +111,10 @@ def findings(
         if unusable is not None:
             found: tuple[Finding, ...] = (unusable,)
         else:
-            pipeline, frames = ContactPipeline(chosen, opened.rig, untouched), _recent_frames(opened, frame)
-            patches = [pipeline.process(each) for each in frames]
-            found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, untouched)
+            with compiled_for(chosen, opened):
+                pipeline, frames = ContactPipeline(chosen, opened.rig, untouched), _recent_frames(opened, frame)
+                patches = [pipeline.process(each) for each in frames]
+                found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, untouched)
     for finding in found:
         say(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactune.app.cli import common
 from tactune.core.contact.pipeline import ContactPipeline
 
 COMMAND = [sys.executable, "-m", "tactune.app"]
@@ -93,6 +94,17 @@ def test_interrupted_with_finished_files_intact(tactune, recording, tmp_path, mo
     assert names(out) == ["patch_000000.npz", "patch_000001.npz", "patch_000002.npz"]
     with np.load(out / "patch_000001.npz") as saved:
         assert len(saved["points"]) > 0
+
+
+def test_the_second_signal_acts_as_usual_unless_it_follows_at_once(monkeypatch):
+    with common.stop_on_signals() as stopped:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        assert stopped.is_set()
+    monkeypatch.setattr(common, "_ONE_PRESS_S", 0.0)
+    with pytest.raises(KeyboardInterrupt), common.stop_on_signals():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_estimates_the_tilt_of_each_patch(tactune):

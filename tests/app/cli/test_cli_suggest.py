@@ -2,6 +2,8 @@
 
 import pytest
 
+from tactune.core import warmup
+from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.presets import load_preset
 
@@ -46,3 +48,11 @@ def test_findings_are_printed_with_what_mends_them(tactune, spoiled):
     assert finished.status == 1
     assert "alignment.depth_offset_m: Peak of the differences at −" in finished.out
     assert "--set alignment.depth_offset_m=0.0" in finished.out
+
+
+def test_a_contact_test_that_cannot_be_used_is_told_without_compiling_it(tactune, recording, tmp_path, monkeypatch):
+    monkeypatch.delattr(warmup, "warm_up_if_needed")
+    save_preset(Preset(contact_test="pressure"), tmp_path / "pressure.json")
+    finished = tactune("preset", "findings", "--source", recording, "--preset", tmp_path / "pressure.json")
+    assert finished.status == 1
+    assert "compares with the untouched frame, and there is none" in finished.out
