@@ -58,7 +58,7 @@ _PANEL_WIDTH = 300
 _STOPPED = 130
 #: Longest wait for the killed process when the window closes, ms; at its low priority it may end later.
 _END_MS = 3_000
-#: Killed processes that had not ended by then: Qt would wait for them when it deletes them.
+#: Killed processes that have not ended yet: Qt would wait for them if it deleted them before.
 _ending: list[QProcess] = []
 
 
@@ -128,12 +128,14 @@ class TuneRun(QObject):
     def shut_down(self) -> None:
         """End the process now; emit nothing any more. Its measured trials are kept."""
         self.blockSignals(True)
-        if self._process is not None:
-            self._process.kill()
-            if not self._process.waitForFinished(_END_MS):
-                self._process.setParent(None)
-                _ending.append(self._process)
-            self._process = None
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            if not process.waitForFinished(_END_MS):
+                process.setParent(None)
+                _ending.append(process)
+                process.finished.connect(process.deleteLater)
+                process.finished.connect(lambda: _ending.remove(process))
 
     def _read(self) -> None:
         while self._process is not None and self._process.canReadLine():

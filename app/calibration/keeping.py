@@ -19,7 +19,7 @@ from ...core.model.loading import frame_bytes, frame_from_bytes, read_file
 from ..document.recovery import KeptState, lock_of, write_json
 from .session import Choices, Session, SessionState, Snapshot, renumbered, rig_key
 
-_VERSION = 2
+_VERSION = 3
 #: Windows on one rig that keep files of their own.
 _SLOTS = 8
 

@@ -110,7 +110,12 @@ class CalibrationWizard(QDialog):
         assert action is not None
         action.setIconText(name)
         action.setShortcuts([QKeySequence(each) for each in keys])
-        renamed.connect(lambda _: action.setToolTip(f"{action.text()} ({keys[0]})"))
+
+        def name_key() -> None:
+            action.setToolTip(f"{action.text()} ({keys[0]})")
+
+        renamed.connect(name_key)
+        name_key()
         return action_button(action, with_text=True)
 
     def _connect(self) -> None:

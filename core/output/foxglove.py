@@ -93,10 +93,10 @@ class FoxgloveSink:
         for origin in origins:
             if not re.fullmatch(r"null|https?://[^/?#\s]+", origin):
                 raise PublishError(
-                    f"--origin is {foreign(origin, 80)!r}; write it as https://app.foxglove.dev, without a path"
+                    f"the origin is {foreign(origin, 80)!r}; write it as https://app.foxglove.dev, without a path"
                 )
         self._host, self._port = host, port
-        self._max_clients, self._origins = max_clients, frozenset(origins)
+        self._max_clients, self._origins = max_clients, frozenset(map(str.lower, origins))
         self._channels: list[dict[str, Any]] = []  # By their numbers
         self._clients: set[_Client] = set()
         self._connected = 0
@@ -177,7 +177,7 @@ class FoxgloveSink:
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse web pages that are not allowed, and clients beyond the largest number."""
         for origin in request.headers.get_all("Origin"):
-            if origin.startswith(("http:", "https:", "null")) and origin not in self._origins:
+            if origin.startswith(("http:", "https:", "null")) and origin.lower() not in self._origins:
                 page = foreign(origin, 100)
                 _log.warning("Foxglove: the web page %s was refused; --origin %s lets it in", page, page)
                 return connection.respond(HTTPStatus.FORBIDDEN, f"Tactune refuses this web page; see --origin {page}\n")

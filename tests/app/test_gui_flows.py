@@ -120,7 +120,7 @@ def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
     def tinted():
         corner = window.result.rendered.strip.panes["color"][4:8, 4:8, :3]
         seen = bool((corner != MEMBRANE_RGB[::-1]).any(axis=2).all())
-        return seen, "masked" in dict(pane.header.entries)
+        return seen, "masked" in pane.toolTip()
 
     assert tinted() == (True, True)
     QTest.mouseClick(panel.show_mask, LEFT)

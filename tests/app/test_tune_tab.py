@@ -3,11 +3,13 @@
 import os
 
 import pytest
+from PyQt6 import sip
 from PyQt6.QtCore import QProcess, Qt
 from PyQt6.QtTest import QTest
 
 from hands import LEFT, show_source, text_of, type_into
 from small_recordings import noisy_press, small_rig
+from tactune.app.analysis import tune_tab
 from tactune.app.analysis.tune_tab import frames_of
 from tactune.core.sources.folder import FolderSource, export_folder
 
@@ -114,6 +116,20 @@ def closing_the_window_ends_the_search(tab):
     tab.main.close_without_asking()
     with pytest.raises(ProcessLookupError):
         os.kill(number, 0)
+
+
+def test_a_search_that_ends_after_its_window_is_deleted_then(qtbot, tmp_path):
+    class Slow(QProcess):
+        def waitForFinished(self, _):
+            return False
+
+    run = tune_tab.TuneRun(tmp_path)
+    run._process = process = Slow(run)
+    run.shut_down()
+    assert process.parent() is None and tune_tab._ending == [process]
+    process.finished.emit(9, QProcess.ExitStatus.CrashExit)
+    assert tune_tab._ending == []
+    qtbot.waitUntil(lambda: sip.isdeleted(process))
 
 
 def test_an_error_of_the_search_is_said_in_the_tab(qtbot, tab, tmp_path):

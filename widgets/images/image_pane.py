@@ -152,7 +152,7 @@ class ImagePane(QWidget):
 
     def set_legend(self, entries: Legend) -> None:
         self.header.set_entries(entries)
-        self.view.setToolTip(self.header.legend_tip())
+        self.setToolTip(self.header.legend_tip())
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the visible width between two images, or show only one."""

@@ -134,6 +134,7 @@ def chessboard_snapshot(frames, feed):
 
 def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     wizard = open_wizard()
+    assert wizard.redo.toolTip() == "Redo (Ctrl+Shift+Z)"
     wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
     QTest.mouseClick(wizard.steps.button(1), LEFT)
     finder = wizard.points.finder

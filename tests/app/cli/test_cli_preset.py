@@ -42,6 +42,7 @@ def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(tactune, rec
     gap = made("c.json", "membrane.gap_m=0.001")
     assert (gap.contact_test, gap.membrane.gap_m) == ("membrane", 0.001)
     assert made("d.json", "membrane.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
+    assert not made("f.json", "region.rectangle=[1,1,9,9]", "region.enabled=false").region.enabled, "own words win"
 
 
 def test_a_new_preset_of_one_camera_has_the_test_of_one_camera(tactune, recording, tmp_path):

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core import load_preset
-from tactune.core.errors import AdviceError, FrameError, PresetError, SourceError
+from tactune.core.errors import AdviceError, ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth
 from tactune.core.output.writer import BagWriter, SessionWriter
 from tactune.core.sources.tactune_files import McapSource
@@ -73,9 +73,13 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(tmp_path
         assert same_frame(source.next_frame(), good)
 
 
-def test_no_file_is_left_empty(tmp_path, rig):
+def test_a_name_in_work_is_refused_and_no_file_is_left_empty(tmp_path, rig):
     path = tmp_path / "a.mcap"
-    status = SessionWriter(path, rig).close()
+    writer = SessionWriter(path, rig)
+    with pytest.raises(ExportError, match="already there"):
+        SessionWriter(path, rig)
+    assert path.exists()
+    status = writer.close()
     assert status.error == f"no frame arrived for {path}, so there is no file; check the source"
     assert not path.exists()
 
