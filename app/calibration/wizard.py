@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, Qt, pyqtBoundSignal
+from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction, QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QToolButton, QWidget
 
@@ -82,9 +82,8 @@ class CalibrationWizard(QDialog):
             buttons.append(button)
         self.over = push_button("Start o&ver", "Clear the wizard; undo restores everything until it is closed")
         stack = self.session.undo_stack
-        self.undo = self._step_button("Undo", stack.createUndoAction(self), stack.undoTextChanged, "Ctrl+Z")
-        again = "Ctrl+Shift+Z", "Ctrl+Y"
-        self.redo = self._step_button("Redo", stack.createRedoAction(self), stack.redoTextChanged, *again)
+        self.undo = self._step_button("Undo", stack.createUndoAction(self), "Ctrl+Z")
+        self.redo = self._step_button("Redo", stack.createRedoAction(self), "Ctrl+Shift+Z", "Ctrl+Y")
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
@@ -105,17 +104,12 @@ class CalibrationWizard(QDialog):
         footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
         vbox(top, (area, 1), footer, within=self, margins=8, spacing=4)
 
-    def _step_button(self, name: str, action: QAction | None, renamed: pyqtBoundSignal, *keys: str) -> QToolButton:
+    def _step_button(self, name: str, action: QAction | None, *keys: str) -> QToolButton:
         """Return the button of an action of the undo stack, whose tooltip says what it would do, with its key."""
         assert action is not None
+        action.changed.connect(lambda: action.setToolTip(f"{action.text()} ({keys[0]})"))
         action.setIconText(name)
         action.setShortcuts([QKeySequence(each) for each in keys])
-
-        def name_key() -> None:
-            action.setToolTip(f"{action.text()} ({keys[0]})")
-
-        renamed.connect(name_key)
-        name_key()
         return action_button(action, with_text=True)
 
     def _connect(self) -> None:

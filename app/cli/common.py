@@ -184,8 +184,7 @@ class CliProgress(Progress):
 def stop_on_signals() -> Iterator[threading.Event]:
     """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second acts as usual.
 
-    One that follows at once is part of the first: its exception would interrupt what the first one ends. At the end of
-    the block the signals act as before, so a signal while a source closes is not held back.
+    One that follows at once is part of the first, and cuts nothing short. After the block all act as usual.
     """
     stopped, first_s = threading.Event(), math.inf
     ends = [signal.SIGINT, signal.SIGTERM]
@@ -255,9 +254,7 @@ def open_checked(name: str, preset: Preset | None = None) -> Iterator[FrameSourc
 def compiled_for(preset: Preset | None, source: FrameSource) -> Iterator[None]:
     """Compile what the first frame of a preset would wait for, and warn of frames that are lost from then on."""
     if preset is not None:
-        from ...core.warmup import (
-            warm_up_if_needed,
-        )  # the compiler takes half of the time in which a wrong name is told
+        from ...core.warmup import warm_up_if_needed
 
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)

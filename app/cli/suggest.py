@@ -108,9 +108,8 @@ def findings(
 
         untouched = usable(kept_untouched(chosen, origin, opened))
         unusable = unusable_test(chosen, opened.rig, untouched)
-        if unusable is not None:
-            found: tuple[Finding, ...] = (unusable,)
-        else:
+        found: tuple[Finding, ...] = () if unusable is None else (unusable,)
+        if unusable is None:
             with compiled_for(chosen, opened):
                 pipeline, frames = ContactPipeline(chosen, opened.rig, untouched), _recent_frames(opened, frame)
                 patches = [pipeline.process(each) for each in frames]

@@ -50,10 +50,7 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], shown: bool) -> str
 
 
 def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
-    """Return a line on a proximity pixel: why it was kept or dropped, distances, gap, and colour.
-
-    A narrow window cuts the end of it, so the reason comes before the numbers.
-    """
+    """Return a line on a proximity pixel: why it was kept or dropped, then numbers: a narrow window cuts the end."""
     if patch is None:
         return color
     height, width = patch.rig.proximity.intrinsics.shape
