@@ -1,8 +1,7 @@
 """The methods that are compared: settings of the contact pipeline, and rivals as plain functions.
 
 A rival is a function from a preset, a rig and a frame of the untouched membrane to the function that finds the contact
-patch of a frame. Another package adds one by an entry point of the
-group ``tactune.methods``.
+patch of a frame. Another package adds one by an entry point of the group ``tactune.methods``.
 """
 
 from __future__ import annotations

@@ -239,9 +239,8 @@ class RecordingStatus:
 class SessionWriter:
     """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.sources.ros.messages` describes it.
 
-    A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, written at
-    once, so a killed process loses the frames in the queue only. Where the disk is full, the file keeps the frames that
-    it has.
+    A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, written at once, so a killed
+    process loses the frames in the queue only. Where the disk is full, the file keeps the frames that it has.
 
     Parameters
     ----------

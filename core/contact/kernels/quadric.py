@@ -46,9 +46,8 @@ def fit_quadrics(
     ``images`` (2, H, W) are the weight of each cell, and its depth times that; ``window`` (5, N) is the window of one
     direction times powers of the way from its centre. ``out`` (6, H, W) and ``growth`` (H, W), the sum of the last
     diagonal elements of the inverse that belong to xx and yy, receive nan where the weight in the window is not above
-    ``least``. ``across`` (8, H, W), ``moments`` (8, 5, W) and ``work`` (7, 6, W) are buffers: the
-    cells of a row are computed side by side. The normal equations are solved by Cholesky's method, with reciprocals on
-    the diagonal.
+    ``least``. ``across`` (8, H, W), ``moments`` (8, 5, W) and ``work`` (7, 6, W) are buffers: the cells of a row are
+    computed side by side. The normal equations are solved by Cholesky's method, with reciprocals on the diagonal.
     """
     height, width = growth.shape
     reach, cells = window.shape[1] // 2, range(width)

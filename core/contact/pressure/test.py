@@ -136,8 +136,7 @@ class PressureTest(ContactTest):
     def _values(self, now: _Now, contact: Candidates, frame: SensorFrame) -> dict[str, Any]:
         """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
         assert self._rest is not None
-        rig, grid, sigmas = self.pixels.rig, self._rest.grid, now.sigmas
-        relative = now.relative.astype(np.float32)
+        rig, grid, relative, sigmas = self.pixels.rig, self._rest.grid, now.relative.astype(np.float32), now.sigmas
         on_membrane = Lazy(lambda: grid.to_image(relative, rig.tactile.intrinsics.shape, math.nan))
 
         def at(pixels: IndexArray) -> Float32Array:
