@@ -394,22 +394,14 @@ KINDS: dict[str, Kind] = {
         0,
         new=lambda f, n: export_hdf5(list_source(FRAMES[n:]), f / "new.h5", exclusive=True),
     ),
-    "recording": Kind(
-        lambda f, n: record(fresh(f, ".mcap"), 0),
-        play_all,
-        400,
-        grows=True,
-        new=lambda f, n: record(f / "new.mcap", n),
-    ),
+    "recording": Kind(lambda f, n: record(fresh(f, ".mcap"), 0), play_all, 400, grows=True),
     "converted recording": Kind(
         lambda f, n: export_mcap(list_source(FRAMES[n:]), f / "a.mcap"),
         play_all,
         100,
         new=lambda f, n: export_mcap(list_source(FRAMES[n:]), f / "new.mcap", exclusive=True),
     ),
-    "patches": Kind(
-        lambda f, n: write_patches(fresh(f, ".mcap"), n), grows=True, new=lambda f, n: write_patches(f / "new.mcap", n)
-    ),
+    "patches": Kind(lambda f, n: write_patches(fresh(f, ".mcap"), n), grows=True),
     "cloud.npz": cloud("a.npz"),
     "cloud.ply": cloud("a.ply"),
     "cloud.csv": cloud("a.csv"),
