@@ -120,13 +120,10 @@ def test_a_damaged_file_is_told_in_one_sentence(tune, recording, tmp_path, line)
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), "give --source"),
-        (("-s", "REC", "--set", "tolerance.q=1"), "did you mean tolerance.t"),
         (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
         *((("-s", "REC", "--frames", text), "has 3 frames") for text in ("9:", "0", "4:2")),
         *((("-s", "REC", "--frames", text), "write a number of frames") for text in ("a", "1:2:0", "-1", "")),
-        (("-s", "REC", "--out", "/tmp"), "no ordinary file"),
         (("-s", "REC", "--out", "/dev/null/best.json"), "cannot write"),
         (("-s", "REC", "--study", "/dev/zero"), "no ordinary file"),
         (("-s", "REC", "--frames", "1", "--objective", "stability"), "there is only one"),
