@@ -1,8 +1,7 @@
 """Recordings as folders of images that any program can read and write.
 
-A recording is a folder with ``rig.json`` (see `tactune.core.model.rig_file`) and either one frame or
-numbered subfolders with one frame each; a subfolder ``untouched`` may hold a frame of the untouched
-membrane. A frame is::
+A recording is a folder with ``rig.json`` (see `tactune.core.model.rig_file`) and one frame or numbered subfolders with
+one frame each; a subfolder ``untouched`` may hold a frame of the untouched membrane. A frame is::
 
     proximity_depth.png   16 bit, counts
     proximity_color.png   8 bit, colour                                            (optional)

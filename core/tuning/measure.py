@@ -173,7 +173,8 @@ class Workers:
 def local_workers(jobs: int) -> Iterator[Workers]:
     """Yield workers on this computer: processes of one thread each, or with one job a thread of this process."""
     # Processes inherit it. PYTHONSAFEPATH: they import nothing from the working folder.
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH"), "1"))
+    ours = {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH"} - os.environ.keys()
+    os.environ.update(dict.fromkeys(ours, "1"))
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
     executor: Executor = (
@@ -184,6 +185,8 @@ def local_workers(jobs: int) -> Iterator[Workers]:
     finally:
         writer.close()
         executor.shutdown(cancel_futures=True)
+        for name in ours:
+            del os.environ[name]
 
 
 def _begin_worker(parent: Connection) -> None:

@@ -33,6 +33,7 @@ def test_a_worker_imports_nothing_from_the_working_folder(tmp_path, monkeypatch)
     with local_workers(2) as workers:
         assert workers.submit(os.path.basename, "a/b").result(LIMIT_S) == "b"
     assert not (tmp_path / "harm").exists()
+    assert "PYTHONSAFEPATH" not in os.environ, "programs that are started later import as ever"
 
 
 def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_search, tune):
