@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,7 +32,7 @@ from ..ros_image import FLOAT_UNIT_M, RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
 from .source import COUNT_UNIT_M, Frames
-from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, split_name, survey
+from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, split_name, survey, unread_depth
 
 #: Longest search, seconds, and how long nothing further may appear before it ends.
 _SEARCH_S: Final = 6.0
@@ -46,12 +46,16 @@ _LOOK_S: Final = 2.0
 
 @dataclass(frozen=True)
 class Found:
-    """The topic of each slot, the streams of images and the message types by topic, and the poses between frames."""
+    """The topic of each slot, the streams of images and the message types by topic, and the poses between frames.
+
+    ``silent`` names the depth of another camera, of which no image has come.
+    """
 
     topics: Topics
     images: Mapping[str, ImageTopic]
     types: Mapping[str, str]
     frames: Frames
+    silent: Sequence[str] = ()
 
     def lens_topic(self, slot: str) -> str:
         """Return the topic of the lens of ``proximity.depth``, say; empty if it is unknown."""
@@ -78,7 +82,7 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
     heard = _Heard(listener)
     began_s = changed_s = time.monotonic()
     found, gap = Found({}, {}, {}, Frames(heard)), "no topic has depth images"
-    while (now_s := time.monotonic()) - began_s < _SEARCH_S and (gap or now_s - changed_s < _SETTLED_S):
+    while (now_s := time.monotonic()) - began_s < _SEARCH_S and (gap or found.silent or now_s - changed_s < _SETTLED_S):
         progress(0.2 * (now_s - began_s) / _SEARCH_S, "looking for ROS 2 topics")
         if heard.listen():
             changed_s = now_s
@@ -88,6 +92,8 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
                 topics = {slot.replace("proximity", "tactile"): topic for slot, topic in topics.items()}
             found = Found(topics, {image.name: image for image in images}, heard.types, frames)
             gap = gap or found.gap()
+            if not (chosen or gap or "proximity.depth" in topics):
+                found = replace(found, silent=unread_depth(found.images, heard.announced, topics["tactile.depth"]))
         time.sleep(_POLL_S)
     if not gap:
         return found
@@ -227,6 +233,9 @@ class Ros2Source(CameraSource):
                 f"no chain of fixed transforms joins the frames {foreign(first, 60)!r} and {foreign(second, 60)!r} "
                 "of the cameras: calibrate the alignment"
             )
+        if found.silent:
+            silent = ", ".join(found.silent)
+            self._driver.notes["camera"] = f"only one camera is shown, since no depth comes on {silent}"
         super().__init__([self._driver], cameras.model_copy(update=chosen), progress, name=name, roles=roles)
         if pose is not None:
             self._rig = self._rig.model_copy(update={"T_proximity_tactile": camera_pose(pose)})

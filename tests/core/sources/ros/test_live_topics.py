@@ -78,6 +78,17 @@ def test_one_camera_is_a_tactile_one(domain):
         assert source.health().ok
 
 
+def test_a_second_camera_is_awaited_and_named_when_it_stays_silent(domain, monkeypatch):
+    monkeypatch.setattr(live, "_SEARCH_S", 4)
+    with (
+        cameras(domain, rate_hz=1e-3, names=("d405",)),  # one image, before anybody listens
+        cameras(domain, names=("l515",)),
+        open_topics(f"?domain={domain}", CamerasSection(), untold) as source,
+    ):
+        assert not source.rig.has_proximity
+        assert "no depth comes on /d405/depth/image_rect_raw" in source.health().message
+
+
 @pytest.fixture
 def from_fast_dds(fast_dds_program, domain):
     """Publish by Fast DDS, images without repeats as sensor data are, and return the domain."""
