@@ -22,6 +22,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
+from ...contact.kernels.simd import LANES, double_scratch, doubles, gather, load, store
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 from .objects import NO_OBJECT, allocating, compiled, distance, normal, to_surface
 
@@ -152,11 +153,13 @@ class MembraneState:
 
 
 class _Sheet(NamedTuple):
-    """Mesh and rubber, as in `Mesh` and `MembraneDesign`, and the air in the chamber."""
+    """Rubber as in `Mesh` and `MembraneDesign`, in arrays of whole vectors of triangles, and the air in the chamber."""
 
-    triangles: Int32Array
-    inverse: Float64Array
+    #: (T',) each: places of the corners' x in flattened nodes; elements of the inverse; stiffness, 0 beyond the end.
+    corners: tuple[Int32Array, Int32Array, Int32Array]
+    inverse: tuple[Float64Array, Float64Array, Float64Array, Float64Array]
     stiffness: Float64Array
+    triangles: int  # T, without those that fill the last vector
     free: BoolArray
     stiffening: float
     gas_joule: float  # p V
@@ -206,18 +209,26 @@ def _normal(thing: _Object, nodes: Float64Array, n: int) -> tuple[float, float, 
     return normal(thing.kind, thing.pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + thing.relief_m[n])
 
 
+_scratch = double_scratch(10 * LANES)
+
+
 @compiled
 def _forces(nodes: Float64Array, sheet: _Sheet, elastic: Float64Array, swept: Float64Array) -> float:
     """Fill in the gradients of the elastic energy and of the volume over the rim's plane; return that volume."""
-    triangles, inverse, stiffness = sheet.triangles, sheet.inverse, sheet.stiffness
     elastic[:] = 0.0
     swept[:] = 0.0
+    flat, pulled, moved = nodes.reshape(-1), elastic.reshape(-1), swept.reshape(-1)
+    one, three, six, stiffening = doubles(1.0), doubles(3.0), doubles(6.0), doubles(2.0 * sheet.stiffening)
+    xs, ys, zs = flat, flat[1:], flat[2:]
+    found = _scratch()
     volume = 0.0
-    for t in range(triangles.shape[0]):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy, uz = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1], nodes[b, 2] - nodes[a, 2]
-        vx, vy, vz = nodes[c, 0] - nodes[a, 0], nodes[c, 1] - nodes[a, 1], nodes[c, 2] - nodes[a, 2]
-        i00, i01, i10, i11 = inverse[t, 0, 0], inverse[t, 0, 1], inverse[t, 1, 0], inverse[t, 1, 1]
+    for first in range(0, sheet.triangles, LANES):
+        a, b, c = load(sheet.corners[0], first), load(sheet.corners[1], first), load(sheet.corners[2], first)
+        az, bz, cz = gather(zs, a), gather(zs, b), gather(zs, c)
+        ux, uy, uz = gather(xs, b) - gather(xs, a), gather(ys, b) - gather(ys, a), bz - az
+        vx, vy, vz = gather(xs, c) - gather(xs, a), gather(ys, c) - gather(ys, a), cz - az
+        i00, i01 = load(sheet.inverse[0], first), load(sheet.inverse[1], first)
+        i10, i11 = load(sheet.inverse[2], first), load(sheet.inverse[3], first)
         # Columns of the deformation gradient F.
         px, py, pz = ux * i00 + vx * i10, uy * i00 + vy * i10, uz * i00 + vz * i10
         qx, qy, qz = ux * i01 + vx * i11, uy * i01 + vy * i11, uz * i01 + vz * i11
@@ -225,28 +236,35 @@ def _forces(nodes: Float64Array, sheet: _Sheet, elastic: Float64Array, swept: Fl
         det = c00 * c11 - c01 * c01
         # First Piola-Kirchhoff stress (1 + 2 c I) mu (F - F C^-1 / det C) of
         # W = mu/2 (I + c I^2), I = tr C + 1/det C - 3.
-        scale = 1.0 / (det * det)
-        s00, s01, s11 = 1.0 - c11 * scale, c01 * scale, 1.0 - c00 * scale
-        weight = stiffness[t] * (1.0 + 2.0 * sheet.stiffening * (c00 + c11 + 1.0 / det - 3.0))
-        ax, ay, az = px * s00 + qx * s01, py * s00 + qy * s01, pz * s00 + qz * s01
-        bx, by, bz = px * s01 + qx * s11, py * s01 + qy * s11, pz * s01 + qz * s11
-        fbx, fby, fbz = weight * (ax * i00 + bx * i01), weight * (ay * i00 + by * i01), weight * (az * i00 + bz * i01)
-        fcx, fcy, fcz = weight * (ax * i10 + bx * i11), weight * (ay * i10 + by * i11), weight * (az * i10 + bz * i11)
-        elastic[b, 0] += fbx
-        elastic[b, 1] += fby
-        elastic[b, 2] += fbz
-        elastic[c, 0] += fcx
-        elastic[c, 1] += fcy
-        elastic[c, 2] += fcz
-        elastic[a, 0] -= fbx + fcx
-        elastic[a, 1] -= fby + fcy
-        elastic[a, 2] -= fbz + fcz
-        nx, ny, nz = (uy * vz - uz * vy) / 6.0, (uz * vx - ux * vz) / 6.0, (ux * vy - uy * vx) / 6.0
-        volume += nz * (nodes[a, 2] + nodes[b, 2] + nodes[c, 2])
-        for node in (a, b, c):
-            swept[node, 0] += nx
-            swept[node, 1] += ny
-            swept[node, 2] += nz
+        scale = one / (det * det)
+        s00, s01, s11 = one - c11 * scale, c01 * scale, one - c00 * scale
+        weight = load(sheet.stiffness, first) * (one + stiffening * (c00 + c11 + one / det - three))
+        fx, fy, fz = px * s00 + qx * s01, py * s00 + qy * s01, pz * s00 + qz * s01
+        gx, gy, gz = px * s01 + qx * s11, py * s01 + qy * s11, pz * s01 + qz * s11
+        store(found, 0 * LANES, weight * (fx * i00 + gx * i01))
+        store(found, 1 * LANES, weight * (fy * i00 + gy * i01))
+        store(found, 2 * LANES, weight * (fz * i00 + gz * i01))
+        store(found, 3 * LANES, weight * (fx * i10 + gx * i11))
+        store(found, 4 * LANES, weight * (fy * i10 + gy * i11))
+        store(found, 5 * LANES, weight * (fz * i10 + gz * i11))
+        nz = (ux * vy - uy * vx) / six
+        store(found, 6 * LANES, (uy * vz - uz * vy) / six)
+        store(found, 7 * LANES, (uz * vx - ux * vz) / six)
+        store(found, 8 * LANES, nz)
+        store(found, 9 * LANES, nz * (az + bz + cz))
+        for n in range(min(LANES, sheet.triangles - first)):
+            # unsigned, or each access would test for a negative index
+            at, bt = np.uint32(sheet.corners[0][first + n]), np.uint32(sheet.corners[1][first + n])
+            ct = np.uint32(sheet.corners[2][first + n])
+            for k in range(3):
+                of_b, of_c, area = found[k * LANES + n], found[(3 + k) * LANES + n], found[(6 + k) * LANES + n]
+                pulled[bt + k] += of_b
+                pulled[ct + k] += of_c
+                pulled[at + k] -= of_b + of_c
+                moved[at + k] += area
+                moved[bt + k] += area
+                moved[ct + k] += area
+            volume += found[9 * LANES + n]
     return float(volume)
 
 
@@ -448,8 +466,16 @@ class Membrane:
     @property
     def _sheet(self) -> _Sheet:
         mesh, design, area = self.mesh, self.design, self.mesh.area.sum() / len(self.mesh.flat)
-        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, design.stiffening)
+        body = (*self._vectors, len(mesh.triangles), mesh.free, design.stiffening)
         return _Sheet(*body, self._gas_joule, design.dead_volume_m3, area)
+
+    @cached_property
+    def _vectors(self) -> tuple[Any, Any, Float64Array]:
+        """Corners, inverse and stiffness of `_Sheet`."""
+        mesh, missing = self.mesh, -len(self.mesh.triangles) % LANES
+        rows = (*3 * mesh.triangles.T, *mesh.inverse.reshape(-1, 4).T, mesh.stiffness)
+        first, second, third, *inverse, stiffness = (np.pad(row, (0, missing)) for row in rows)
+        return (first, second, third), tuple(inverse), stiffness
 
     def _solve(self, thing: _Object, start: Float64Array, grips: _Grips, tolerance: float, limit: int) -> MembraneState:
         sheet = self._sheet

@@ -207,6 +207,15 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
 
 
 @compiled
+def clearance(kind: int, pose: Float64Array, points: Float64Array) -> float:
+    """Return the smallest `distance` of points, (N, 3), to an object, metres."""
+    least = np.inf
+    for n in range(points.shape[0]):
+        least = min(least, distance(kind, pose, points[n, 0], points[n, 1], points[n, 2]))
+    return least
+
+
+@compiled
 def normal(kind: int, pose: Float64Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return the unit outward normal of the level set through a point, in the surrounding frame."""
     e = _NORMAL_STEP

@@ -21,7 +21,7 @@ from .membrane import (
     contact_share,
     object_pose,
 )
-from .objects import distance, turn
+from .objects import clearance, turn
 from .render import (
     CLEAN_UNIT_M,
     DOT_RADIUS_M,
@@ -158,7 +158,7 @@ class Press:
         surface, z = self.membrane.surface(self.membrane.rest.nodes), self.membrane.design.apex_m + 0.2
         for _ in range(200):
             pose = object_pose(self._rotation, (*self.pressed.offset_m, z))
-            gap = min(distance(self.pressed.kind, pose, *node) for node in surface)
+            gap = clearance(self.pressed.kind, pose, surface)
             z -= gap
             if gap < 1e-7:
                 break
