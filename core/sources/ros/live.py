@@ -34,9 +34,9 @@ from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
 from .source import COUNT_UNIT_M, Frames
 from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, split_name, survey, unread_depth
 
-#: Longest search, seconds, and how long nothing further may appear before it ends.
+#: Longest search, seconds, and in how many looks nothing new may come before it ends: a busy computer looks rarely.
 _SEARCH_S: Final = 6.0
-_SETTLED_S: Final = 1.0
+_QUIET_LOOKS: Final = 20
 _POLL_S: Final = 0.05
 #: Types of messages; the first message of a topic tells size, encoding and lens.
 _KINDS: Final = (IMAGE, COMPRESSED, CAMERA_INFO)
@@ -80,12 +80,13 @@ class Found:
 def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progress) -> Found:
     """Listen until the topics of the cameras are known; `SourceError` names the source and says what was heard."""
     heard = _Heard(listener)
-    began_s = changed_s = time.monotonic()
+    began_s, quiet = time.monotonic(), 0
     found, gap = Found({}, {}, {}, Frames(heard)), "no topic has depth images"
-    while (now_s := time.monotonic()) - began_s < _SEARCH_S and (gap or found.silent or now_s - changed_s < _SETTLED_S):
-        progress(0.2 * (now_s - began_s) / _SEARCH_S, "looking for ROS 2 topics")
+    while (spent_s := time.monotonic() - began_s) < _SEARCH_S and (gap or found.silent or quiet < _QUIET_LOOKS):
+        progress(0.2 * spent_s / _SEARCH_S, "looking for ROS 2 topics")
+        quiet += 1
         if heard.listen():
-            changed_s = now_s
+            quiet = 0
             images, frames = survey(heard), Frames(heard)
             topics, gap = (chosen, "") if chosen else guess_topics(images, frames.joined)
             if "tactile.depth" not in topics:  # a camera alone is a tactile one
