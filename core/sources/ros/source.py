@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -12,10 +13,10 @@ import cv2
 import numpy as np
 
 from ...errors import SourceError, foreign
-from ...model.arrays import AnyArray, Float64Array, IndexArray, Uint8Array
+from ...model.arrays import AnyArray, Float64Array, Uint8Array
 from ...model.files import recording_files, user_path
 from ...model.frames import DepthCamera, Matrix4, camera_pose
-from ..base import Progress
+from ..base import CameraRole, Progress
 from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
 from ..lens import Lens, camera_info_lens, lens_of_file
@@ -42,13 +43,15 @@ COUNT_UNIT_M: Final = 0.001
 _TRIED_INFOS: Final = 100
 #: Messages of poses of each topic that are read.
 _TRIED_POSES: Final = 1000
+#: How a person names topics, for the end of a message.
+NAMING: Final = "--topics proximity.depth=/topic,tactile.depth=/topic,tactile.info=lens.yaml"
 #: Size of the pictures of topics, pixels.
 _PICTURE_PX: Final = 160
 #: A pose between two frames that changes by more than this, metres and radians, is none of a rig.
 _FIXED: Final = 1e-6
 
 
-class _GapError(Exception):
+class GapError(Exception):
     """Something without which an image cannot be used is missing; the message is a clause."""
 
 
@@ -140,6 +143,128 @@ def _paths(text: str) -> tuple[Path, ...]:
     return recording_files(text) or (user_path(text),)
 
 
+@dataclass(frozen=True, eq=False)
+class StatedCamera:
+    """One camera as its topics state it; a colour that cannot be used is left out."""
+
+    depth: ImageTopic
+    lens: Lens
+    color: ImageTopic | None
+    color_lens: Lens | None
+    calibration: Calibration
+
+
+@dataclass(frozen=True, eq=False)
+class StatedRig:
+    """Cameras by role, the pose between two if it is known, and clauses about what is missing.
+
+    ``unread`` names the depth of another camera, of which no image can be read.
+    """
+
+    cameras: dict[CameraRole, StatedCamera]
+    pose: Matrix4 | None
+    lacks: list[str]
+    unread: list[str]
+
+
+def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, str], chosen: Topics) -> StatedRig:
+    """Return the cameras on these topics, or on those that names tell; `GapError` if something necessary is missing.
+
+    ``images`` are those of a bag, ``announced`` the types of all topics that there are.
+    """
+    lacks: list[str] = []
+    frames = Frames(bag)
+    topics, gap = guess_topics(images, frames.joined)
+    if chosen:
+        topics, gap = complete_topics(chosen, topics, images, frames.joined)
+    if gap:
+        raise GapError(gap)
+    known = {image.name: image for image in images}
+    for slot, name in topics.items():
+        if not slot.endswith(".info") and name not in known:
+            raise GapError(f"there are no images on {name}, named as {slot}")
+    roles: list[CameraRole] = ["proximity", "tactile"] if "proximity.depth" in topics else ["tactile"]
+    cameras = {role: _stated_camera(bag, frames, known, topics, role, lacks) for role in roles}
+    if len(cameras) == 1:
+        unread = [] if chosen else unread_depth(known, announced, topics["tactile.depth"])
+        if unread:
+            lacks.append(f"only one camera is shown, since no depth comes on {', '.join(unread)} that can be read")
+        return StatedRig(cameras, None, lacks, unread)
+    frame, other = (camera.depth.frame for camera in cameras.values())
+    pose, first, second = frames.pose(frame, other), foreign(frame, 60), foreign(other, 60)
+    if pose is None:
+        lacks.append(f"no fixed transforms join the cameras' frames {first!r} and {second!r}: calibrate the alignment")
+    elif not pose[:3, 3].any():  # two drivers that were left with the same frame names
+        lacks.append(
+            f"both cameras are said to be at the same place (frames {first} and {second}), so the pose between them is "
+            "unknown: calibrate the alignment"
+        )
+    else:
+        try:
+            return StatedRig(cameras, camera_pose(pose), lacks, [])
+        except ValueError as error:
+            lacks.append(f"the pose between {first} and {second} is not used: {error}")
+    return StatedRig(cameras, None, lacks, [])
+
+
+def _stated_camera(
+    bag: Bag, frames: Frames, images: Mapping[str, ImageTopic], topics: Topics, role: CameraRole, lacks: list[str]
+) -> StatedCamera:
+    depth = images[topics[f"{role}.depth"]]
+    if depth.kind != "depth":
+        raise GapError(f"{depth} has no depth, but is named as {role}.depth")
+    stated = topics.get(f"{role}.info", depth.info)
+    is_file = stated not in bag.types and Path(stated).is_file()
+    lens = lens_of_file(Path(stated), role, (depth.width, depth.height)) if is_file else _lens(bag, depth, stated)
+    calibration = Calibration(
+        DepthCamera(
+            model=foreign(depth.camera.replace("/", " ") or role, 80),
+            intrinsics=lens.intrinsics,
+            depth_unit_m=FLOAT_UNIT_M if depth.encoding == "32FC1" else COUNT_UNIT_M,
+        )
+    )
+    if f"{role}.color" in topics:
+        color = images[topics[f"{role}.color"]]
+        try:
+            color_lens, pose = _color(bag, frames, color, depth, lens)
+            calibration = Calibration(calibration.depth, color_lens.intrinsics, camera_pose(pose))
+            return StatedCamera(depth, lens, color, color_lens, calibration)
+        except (GapError, ValueError) as gap:
+            lacks.append(f"the {role} colour is left out: {gap}")
+    return StatedCamera(depth, lens, None, None, calibration)
+
+
+def _color(bag: Bag, frames: Frames, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
+    """Return the lens of a camera's colour and the pose of its depth in it."""
+    if color.encoding not in COLORS:
+        raise GapError(f"{color.name} has the encoding {foreign(color.encoding, 40)!r}, which is not known")
+    pose = frames.pose(color.frame, depth.frame)
+    if pose is None:
+        raise GapError(
+            f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}; a colour that is "
+            "aligned to the depth needs none"
+        )
+    if not color.info and color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
+        return lens, pose  # aligned to the depth
+    return _lens(bag, color, color.info), pose
+
+
+def _lens(bag: Bag, image: ImageTopic, topic: str) -> Lens:
+    """Return the lens of the first message that is filled in."""
+    for index in range(min(bag.count(topic), _TRIED_INFOS)):
+        info, size = bag.message(topic, index), (image.width, image.height)
+        try:
+            lens = camera_info_lens(info, size, is_rectified=image.is_rectified)
+        except SourceError as error:
+            raise GapError(f"{image.name}: {error}") from error
+        if lens is not None:
+            return lens
+    if bag.count(topic):
+        raise GapError(f"all numbers of {topic} are 0")
+    lack = f"neither a topic nor a file {foreign(topic)}" if topic else "no camera_info"
+    raise GapError(f"the lens of {image.name} is unknown: there is {lack}")
+
+
 class RosSource(RecordedSource):
     """A ROS bag of any program; ``rest`` is its path, and behind a question mark topics, which are kept beside it."""
 
@@ -153,134 +278,37 @@ class RosSource(RecordedSource):
             cut = f"{self._path.name} was cut off: it is shown up to its last whole part"
             self._lacks = [] if self._bag.complete else [cut]
             with damage_told(self._path, "it is damaged"):
-                self._images = {image.name: image for image in survey(self._bag)}
-                self._poses = Frames(self._bag)
-                cameras, pose = self._choose(chosen or load_topics(self._path))
-            super().__init__(name, cameras, resources, self._lacks, pose)
+                rig = self._stated_rig(chosen or load_topics(self._path))
+                self._lacks += rig.lacks
+                cameras = [self._camera(role, camera) for role, camera in rig.cameras.items()]
+            super().__init__(name, cameras, resources, self._lacks, rig.pose)
             self.read(0)
             self._resources = resources.pop_all()
         if chosen:
             store_topics(self._path, chosen)
 
-    def _choose(self, chosen: Topics) -> tuple[list[RecordedCamera], Matrix4 | None]:
-        """Return the cameras on these topics, else on those that their names tell, and the pose between them."""
-        images = list(self._images.values())
-        topics, gap = guess_topics(images, self._poses.joined)
-        if chosen:
-            topics, gap = complete_topics(chosen, topics, images, self._poses.joined)
-        if gap:
-            raise SourceError(
-                f"{self._path}: {'; '.join([*self._lacks, gap])}; name them with "
-                "--topics proximity.depth=/topic,tactile.depth=/topic; "
-                f"{list_topics(images, self._bag.types)}"
-            )
-        roles = [role for role in ("proximity", "tactile") if f"{role}.depth" in topics]
-        cameras = [self._camera(role, topics) for role in roles]
-        if len(cameras) == 1:
-            if unread := unread_depth(self._images, self._bag.types, topics[f"{roles[0]}.depth"]):
-                self._lacks.append(f"only one camera is shown, since no depth can be read on {', '.join(unread)}")
-            return cameras, None
-        first, second = (self._images[topics[f"{role}.depth"]].frame for role in roles)
-        pose = self._poses.pose(first, second)
-        if pose is None:
-            self._lacks.append(
-                f"no fixed transforms join the cameras' frames {first or 'without a name'} and "
-                f"{second or 'without a name'}: calibrate the alignment"
-            )
-            return cameras, None
-        if not pose[:3, 3].any():  # two drivers that were left with the same frame names
-            self._lacks.append(
-                f"both cameras are said to be at the same place (frames {first} and {second}), so the pose between "
-                "them is unknown: calibrate the alignment"
-            )
-            return cameras, None
+    def _stated_rig(self, chosen: Topics) -> StatedRig:
+        images = survey(self._bag)
         try:
-            return cameras, camera_pose(pose)
-        except ValueError as error:
-            self._lacks.append(f"the pose between {first} and {second} is not used: {error}")
-            return cameras, None
-
-    def _camera(self, role: str, topics: Topics) -> RecordedCamera:
-        image = self._image_topic(f"{role}.depth", topics[f"{role}.depth"])
-        if image.kind != "depth":
-            raise SourceError(f"{self._path}: {image} has no depth; choose another as {role}.depth")
-        lens = self._depth_lens(role, image, topics.get(f"{role}.info", image.info))
-        times_s = self._stamps_s(image.name)
-        calibration = Calibration(
-            DepthCamera(
-                model=foreign(image.camera.replace("/", " ") or role, 80),
-                intrinsics=lens.intrinsics,
-                depth_unit_m=FLOAT_UNIT_M if image.encoding == "32FC1" else COUNT_UNIT_M,
-            )
-        )
-        color, partners = None, np.empty(0, np.int64)
-        if f"{role}.color" in topics:
-            try:
-                seen = self._image_topic(f"{role}.color", topics[f"{role}.color"])
-                color_lens, pose = self._color(seen, image, lens)
-                partners = self._partners(role, times_s, seen.name)
-                calibration = Calibration(calibration.depth, color_lens.intrinsics, camera_pose(pose))
-                color = partial(self._read, seen, color_lens)
-            except _GapError as gap:
-                self._lacks.append(f"the {role} colour is left out: {gap}")
-        depth = partial(self._read, image, lens)
-        return RecordedCamera(self._path, calibration, 1 / period_s(times_s), times_s, depth, color, partners)
-
-    def _depth_lens(self, role: str, image: ImageTopic, stated: str) -> Lens:
-        """Return the lens that a topic or a file states."""
-        if stated not in self._bag.types and Path(stated).is_file():
-            return lens_of_file(Path(stated), role, (image.width, image.height))
-        try:
-            return self._lens(image, stated)
-        except _GapError as gap:
+            return stated_rig(self._bag, images, self._bag.types, chosen)
+        except GapError as gap:
             raise SourceError(
-                f"{self._path}: {gap}; name another topic or a file of the lens: "
-                f"--topics {role}.info=/topic or {role}.info=lens.yaml"
+                f"{self._path}: {'; '.join([*self._lacks, str(gap)])}; name topics, or a file of a lens, with "
+                f"{NAMING}; {list_topics(images, self._bag.types)}"
             ) from gap
 
-    def _color(self, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
-        """Return the lens of a camera's colour and the pose of its depth in it."""
-        if color.encoding not in COLORS:
-            raise _GapError(f"{color.name} has the encoding {foreign(color.encoding, 40)!r}, which is not known")
-        pose = self._poses.pose(color.frame, depth.frame)
-        if pose is None:
-            raise _GapError(
-                f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}; a colour that is "
-                "aligned to the depth needs none"
-            )
-        if not color.info and color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
-            return lens, pose  # aligned to the depth
-        return self._lens(color, color.info), pose
-
-    def _partners(self, role: str, times_s: Float64Array, topic: str) -> IndexArray:
-        """Return the colour image of each depth image, or -1."""
-        color_s = self._stamps_s(topic)
-        farthest_s = period_s(color_s) / 2
-        partners = nearest_within(times_s, color_s, farthest_s)
-        if missing := int((partners < 0).sum()):
-            self._lacks.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
-        return partners
-
-    def _image_topic(self, slot: str, name: str) -> ImageTopic:
-        if name not in self._images:
-            there = list_topics(list(self._images.values()), self._bag.types)
-            raise SourceError(f"{self._path} has no images on {name}, named as {slot}; {there}")
-        return self._images[name]
-
-    def _lens(self, image: ImageTopic, topic: str) -> Lens:
-        """Return the lens of the first message that is filled in."""
-        for index in range(min(self._bag.count(topic), _TRIED_INFOS)):
-            info, size = self._bag.message(topic, index), (image.width, image.height)
-            try:
-                lens = camera_info_lens(info, size, is_rectified=image.is_rectified)
-            except SourceError as error:
-                raise _GapError(f"{image.name}: {error}") from error
-            if lens is not None:
-                return lens
-        if self._bag.count(topic):
-            raise _GapError(f"all numbers of {topic} are 0")
-        lack = f"neither a topic nor a file {foreign(topic)}" if topic else "no camera_info"
-        raise _GapError(f"the lens of {image.name} is unknown: there is {lack}")
+    def _camera(self, role: CameraRole, stated: StatedCamera) -> RecordedCamera:
+        times_s = self._stamps_s(stated.depth.name)
+        color, partners = None, np.empty(0, np.int64)
+        if stated.color is not None and stated.color_lens is not None:
+            color_s = self._stamps_s(stated.color.name)
+            farthest_s = period_s(color_s) / 2
+            partners = nearest_within(times_s, color_s, farthest_s)
+            if missing := int((partners < 0).sum()):
+                self._lacks.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
+            color = partial(self._read, stated.color, stated.color_lens)
+        depth = partial(self._read, stated.depth, stated.lens)
+        return RecordedCamera(self._path, stated.calibration, 1 / period_s(times_s), times_s, depth, color, partners)
 
     def _stamps_s(self, topic: str) -> Float64Array:
         stamps_s = self._bag.stamps_s(topic, self._progress)
