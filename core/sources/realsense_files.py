@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from ..model.arrays import AnyArray, Float64Array
 from ..model.files import recording_files, user_path
 from ..model.frames import DepthCamera, camera_pose, pose_matrix
 from ..model.intrinsics import Distortion, Intrinsics
-from .base import Progress, part_of
+from .base import Progress
 from .cameras.camera import Calibration
 from .cameras.pairing import nearest
 from .recorded import RecordedCamera, RecordedSource
@@ -49,16 +49,8 @@ class BagSource(RecordedSource):
         if not paths:
             raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
         with ExitStack() as resources:
-            recordings = []
-            for number, path in enumerate(paths):
-                told = None if progress is None else part_of(progress, number, len(paths))
-                recordings.append(resources.enter_context(closing(open_recording(path, told))))
-            lacks = [
-                f"{recording.path.name} was not finished when it was recorded: it is shown up to its last whole part"
-                for recording in recordings
-                if not recording.bag.complete
-            ]
-            super().__init__(f"bag:{text}", _cameras(f"bag:{text}", recordings), resources, lacks)
+            recordings = [resources.enter_context(closing(open_recording(path, progress))) for path in paths]
+            super().__init__(f"bag:{text}", _cameras(f"bag:{text}", recordings), resources)
             self._resources = resources.pop_all()
 
 
@@ -115,10 +107,6 @@ def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[F
     return first.recorded_s, second.recorded_s
 
 
-#: The stamps of the images of each stream, s, and the clock of these, empty if unknown.
-Times = Mapping[str, tuple[list[float], str]]
-
-
 class RecordingFile(ABC):
     """An open recording. A subclass reads what one version of librealsense writes."""
 
@@ -131,7 +119,7 @@ class RecordingFile(ABC):
 
     @abstractmethod
     def image(self, topic: str, index: int) -> RawImage:
-        """Return an image by its number in the order of `_times`."""
+        """Return an image by its number."""
 
     @abstractmethod
     def _names(self, topic: str) -> Mapping[str, str]:
@@ -142,8 +130,8 @@ class RecordingFile(ABC):
         """Return the depth unit of a sensor, or None if the recording does not say it."""
 
     @abstractmethod
-    def _times(self, topics: Collection[tuple[str, str]]) -> Times:
-        """Return the stamps of streams, given and returned by their prefix; no image is decoded for this."""
+    def _times(self, topic: str, images: str) -> tuple[Float64Array, str]:
+        """Return the stamps of a stream, s, and the clock of these, empty if unknown; no image is decoded for this."""
 
     @abstractmethod
     def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
@@ -158,19 +146,18 @@ class RecordingFile(ABC):
         for topic in sorted(self.bag.types):
             if match := _STREAM.fullmatch(topic):
                 found.setdefault((int(match[2]), match[3]), (match[1], topic))
-        times = self._times(found.values()) if any(kind == "Depth" for _, kind in found) else {}
-        streams = {key: self._stream(key[1], *pair, *times[pair[0]]) for key, pair in found.items() if times}
+        streams = {key: self._stream(key[1], *topics) for key, topics in found.items()}
         return [
             (self._camera(number, stream, streams.get((number, "Color"))), stream)
             for (number, kind), stream in sorted(streams.items())
             if kind == "Depth"
         ]
 
-    def _stream(self, kind: str, topic: str, images: str, stamps: list[float], clock: str) -> Stream:
+    def _stream(self, kind: str, topic: str, images: str) -> Stream:
         lens, rate_hz = self._lens(topic)
         lens["distortion"] = Distortion(lens["distortion"].lower().replace(" ", "_"))
         lens["coefficients"] = tuple(map(float, lens["coefficients"]))
-        recorded_s, stamps_s = np.array(self.bag.times_ns(images) * 1e-9), np.array(stamps)
+        recorded_s, (stamps_s, clock) = np.array(self.bag.times_ns(images) * 1e-9), self._times(topic, images)
         # The first images of a camera may be on its own clock, until the driver knows its offset to the computer's.
         ahead_s = stamps_s - recorded_s
         usual_s = np.median(ahead_s)
@@ -260,24 +247,13 @@ class BagFile(RecordingFile):
     def _pose(self, topic: str) -> Float64Array:
         return matrix_of(self._first(topic))
 
-    def _times(self, topics: Collection[tuple[str, str]]) -> Times:
-        """Read the stamp of every image, in the order of the file, and the clock of the last one."""
-        stamps_s: dict[tuple[str, int], float] = {}
-        wanted = self.bag.in_order_of_file([images for _, images in topics])
-        for done, (images, index) in enumerate(wanted):
-            stamps_s[images, index] = self.bag.stamp_ns(images, index) * 1e-9
-            if self.progress is not None and done % 1000 == 0:
-                self.progress(done / len(wanted), f"indexing {self.path.name}")
-        times: dict[str, tuple[list[float], str]] = {}
-        for topic, images in topics:
-            about = f"{topic}/image/metadata"
-            # Cameras write two dozen facts for every image.
-            written_ns = self.bag.times_ns(about)
-            last = np.flatnonzero(written_ns == written_ns[-1:])
-            facts = dict(_key_value(self.bag.raw(about, int(index))) for index in last)
-            stamps = [stamps_s[images, index] for index in range(self.bag.count(images))]
-            times[topic] = stamps, facts.get("timestamp_domain", "")
-        return times
+    def _times(self, topic: str, images: str) -> tuple[Float64Array, str]:
+        about = f"{topic}/image/metadata"
+        # Cameras write two dozen facts for every image; those of the last one tell the clock.
+        written_ns = self.bag.times_ns(about)
+        last = np.flatnonzero(written_ns == written_ns[-1:])
+        facts = dict(_key_value(self.bag.raw(about, int(index))) for index in last)
+        return self.bag.stamps_s(images, self.progress), facts.get("timestamp_domain", "")
 
     def _first(self, topic: str) -> Any:
         if not self.bag.count(topic):
@@ -319,20 +295,14 @@ class Db3File(RecordingFile):
         facts = self._names(topic)
         return pose_matrix(np.reshape(_numbers(facts, "rotation"), (3, 3)).T, _numbers(facts, "translation"))
 
-    def _times(self, topics: Collection[tuple[str, str]]) -> Times:
-        times: dict[str, tuple[list[float], str]] = {}
-        for done, (topic, images) in enumerate(topics, start=1):
-            about = f"{topic}/image/metadata"
-            written_ns, recorded_ns = self.bag.times_ns(about), self.bag.times_ns(images)
-            facts = {int(time_ns): self._pairs(about, index) for index, time_ns in enumerate(written_ns)}
-            stamps_s = [float(facts.get(int(time), {}).get("timestamp", "nan")) * 1e-3 for time in recorded_ns]
-            if not np.isfinite(stamps_s).all():
-                raise DamagedFileError(f"an image of {topic} has no time stamp")
-            clock = facts[int(recorded_ns[-1])].get("timestamp_domain", "")
-            times[topic] = stamps_s, clock
-            if self.progress is not None:
-                self.progress(done / len(topics), f"indexing {self.path.name}: stream {done} of {len(topics)}")
-        return times
+    def _times(self, topic: str, images: str) -> tuple[Float64Array, str]:
+        about = f"{topic}/image/metadata"
+        facts = {int(time_ns): self._pairs(about, index) for index, time_ns in enumerate(self.bag.times_ns(about))}
+        of_images = [facts.get(int(time_ns), {}) for time_ns in self.bag.times_ns(images)]
+        stamps_s = np.array([float(each.get("timestamp", "nan")) * 1e-3 for each in of_images])
+        if not np.isfinite(stamps_s).all():
+            raise DamagedFileError(f"an image of {topic} has no time stamp")
+        return stamps_s, of_images[-1].get("timestamp_domain", "")
 
     def _pairs(self, topic: str, index: int) -> dict[str, str]:
         """Return the ``key=value;key=value`` of a message; a part without a value is a key with an empty value."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import sqlite3
 import struct
 import tempfile
@@ -13,23 +14,22 @@ from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import lru_cache
-from io import BytesIO
 from pathlib import Path, PurePath
 from threading import Lock
 from typing import Any, Final
 
 import numpy as np
 from rosbags.rosbag1 import Reader, ReaderError
-from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
+from rosbags.rosbag1.reader import IndexData
 from ruamel.yaml import YAML
 
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
 from ...model.loading import read_file
-from ..base import Progress, part_of
+from ..base import Progress
 from ..ros_image import DamagedFileError, damage_told
 from .mcap import MAGIC, McapBag
-from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpack_file, unpacked
+from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpacked, zstd
 
 METADATA: Final = "metadata.yaml"
 #: More than that of a recording with hundreds of topics and files.
@@ -97,7 +97,7 @@ class SqliteBag(Bag):
 
 
 class Ros1Bag(Bag):
-    """A ROS 1 bag; one that was cut off ends with its last complete chunk."""
+    """A ROS 1 bag."""
 
     def __init__(self, path: Path, _: Progress | None = None) -> None:
         super().__init__()
@@ -106,14 +106,10 @@ class Ros1Bag(Bag):
         self._reader = Reader(path)
         try:
             self._reader.open()
-        except ReaderError:
-            self.complete = False
-            self._reader = _Unfinished(path)
-            try:
-                self._reader.open()
-            except BaseException:
-                self.close()
-                raise
+        except ReaderError as error:
+            self.close()
+            cut = "; if its recorder was killed, rosbag reindex makes the index that it lacks"
+            raise DamagedFileError(f"{error}{cut}") from error
         self._entries: defaultdict[str, list[IndexData]] = defaultdict(list)
         for each in self._reader.connections:  # a merged bag has several of one topic
             if each.msgcount:
@@ -145,13 +141,6 @@ class Ros1Bag(Bag):
     def times_ns(self, topic: str) -> Int64Array:
         return np.array([entry.time for entry in self._entries.get(topic, ())], np.int64)
 
-    def in_order_of_file(self, topics: Sequence[str]) -> list[tuple[str, int]]:
-        """Return topic and number of all messages of some topics, so that each chunk is unpacked once."""
-        found = [
-            (entry.chunk_pos, topic, n) for topic in topics for n, entry in enumerate(self._entries.get(topic, ()))
-        ]
-        return [(topic, n) for _, topic, n in sorted(found)]
-
     def close(self) -> None:
         if self._reader.bio is not None:
             self._reader.bio.close()
@@ -165,51 +154,6 @@ class Ros1Bag(Bag):
         return packed.decompressor(data)
 
 
-class _Unfinished(Reader):
-    """A bag that was killed or cut off, so that it has no index: one is made from its complete chunks."""
-
-    def open(self) -> None:
-        size = self.path.stat().st_size
-        self.bio = file = self.path.open("rb")
-        file.readline()
-        Header.read(file)
-        file.seek(read_uint32(file), 1)
-        found: defaultdict[int, list[IndexData]] = defaultdict(list)
-        names: dict[int, Any] = {}
-        while True:
-            place = file.tell()
-            try:
-                kind = Header.read(file).get_uint8("op")
-                length = read_uint32(file)
-            except Exception:  # the end, or damage
-                break
-            start = file.tell()
-            if start + length > size or kind not in (RecordType.CHUNK, RecordType.IDXDATA):
-                break
-            if kind == RecordType.CHUNK:
-                file.seek(place)
-                self.chunks[place] = self.read_chunk()
-                file.seek(start)
-                self._walk(place, self.chunks[place].decompressor(file.read(length)), found, names)
-            file.seek(start + length)
-        self.indexes = {number: sorted(entries) for number, entries in found.items() if number in names}
-        self.connections = [names[number]._replace(msgcount=len(self.indexes[number])) for number in self.indexes]
-
-    def _walk(self, place: int, chunk: bytes, found: dict[int, list[IndexData]], names: dict[int, Any]) -> None:
-        """Add the messages and the connections in a chunk."""
-        inside = Reader(self.path)  # it reads connections from the chunk
-        inside.bio = BytesIO(chunk)
-        while (offset := inside.bio.tell()) < len(chunk):
-            head = Header.read(inside.bio)
-            if head.get_uint8("op") == RecordType.CONNECTION:
-                inside.bio.seek(offset)
-                connection = inside.read_connection()
-                names[connection.id] = connection
-            else:
-                inside.bio.seek(read_uint32(inside.bio), 1)
-                found[head.get_uint32("conn")].append(IndexData(head.get_time("time"), place, offset))
-
-
 class SplitBag(Bag):
     """The files of one recording, one after another, which ``ros2 bag record`` writes into a folder."""
 
@@ -218,9 +162,8 @@ class SplitBag(Bag):
         self._resources = ExitStack()
         self._parts: list[Bag] = []
         try:
-            for number, path in enumerate(paths):
-                told = None if progress is None else part_of(progress, number, len(paths))
-                part = open_bag([self._plain(path)], told)
+            for path in paths:
+                part = open_bag([self._plain(path)], progress)
                 self._resources.callback(part.close)
                 self._parts.append(part)
                 self.types |= part.types
@@ -263,7 +206,8 @@ class SplitBag(Bag):
         if path.suffix != ".zstd":
             return path
         folder = Path(self._resources.enter_context(tempfile.TemporaryDirectory(prefix="tactune-")))
-        unpack_file(path, folder / path.stem)
+        with zstd.open(path, "rb") as packed, (folder / path.stem).open("wb") as plain:
+            shutil.copyfileobj(packed, plain)
         return folder / path.stem
 
 

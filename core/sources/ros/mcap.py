@@ -12,13 +12,11 @@ from array import array
 from collections import OrderedDict, defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
 from typing import Final
 
-import lz4.frame
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -34,8 +32,6 @@ from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpacked
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
 _MAX_CHUNK_BYTES: Final = 2**26
-#: A channel has at most this many messages, plus one for each 8 bytes of the file.
-_MOST_MESSAGES: Final = 2**20
 _CACHED_CHUNKS, _CACHED_BYTES = 8, 2**27
 
 
@@ -184,10 +180,7 @@ class McapBag(Bag):
                     self._declare(opcode, bytes(data[offset : offset + length]))
 
     def _add_place(self, channel: int, log_time_ns: int, chunk: int, offset: int) -> None:
-        places = self._places[channel]
-        places.extend((log_time_ns, chunk, offset))
-        if len(places) > 3 * (_MOST_MESSAGES + self._size // 8):
-            raise ValueError("it claims far more messages than its size allows")
+        self._places[channel].extend((log_time_ns, chunk, offset))
 
     def _declare(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
@@ -206,9 +199,6 @@ class McapBag(Bag):
         chunk = Chunk.read(_stream(self._read(start, length)))
         if chunk.uncompressed_size > _MAX_CHUNK_BYTES + 8 * self._size:
             raise ValueError(f"a chunk claims to hold {chunk.uncompressed_size / 2**20:.0f} MiB")
-        if chunk.compression == "lz4":  # the library would unpack all of it, however much more than it claims
-            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size)
-            chunk = replace(chunk, compression="", data=data)
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         self._cache[start] = memoryview(stream.read(size))
         while len(self._cache) > _CACHED_CHUNKS or (

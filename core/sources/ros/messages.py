@@ -26,7 +26,6 @@ from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array
 from ...model.frames import pose_matrix
 from ..base import Progress
-from ..ros_image import DamagedFileError
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -112,31 +111,11 @@ def matrix_of(transform: Any) -> Float64Array:
 
 #: What ``ros2 bag record --compression-mode`` writes begins so: a message in any container, or a whole file.
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
-#: A message unpacks to at most the first number of bytes, a file to that and the second number for each of its bytes.
-_MAX_UNPACKED_BYTES, _MAX_RATIO = 200_000_000, 200
-_BLOCK_BYTES: Final = 1 << 20
 
 
 def unpacked(data: memoryview) -> memoryview:
     """Return the bytes of a message, decompressed if they are compressed."""
-    if bytes(data[:4]) != ZSTD_MAGIC:
-        return data
-    unpacker = zstd.ZstdDecompressor()
-    plain = unpacker.decompress(data, _MAX_UNPACKED_BYTES)
-    if not unpacker.eof:
-        raise DamagedFileError("a message is cut off, or unpacks to far too much")
-    return memoryview(plain)
-
-
-def unpack_file(path: Path, target: Path) -> None:
-    """Decompress a file as a whole."""
-    with zstd.open(path, "rb") as packed, target.open("wb") as plain:
-        left = _MAX_UNPACKED_BYTES + _MAX_RATIO * path.stat().st_size
-        while block := packed.read(_BLOCK_BYTES):
-            left -= len(block)
-            if left < 0:
-                raise DamagedFileError(f"{path.name} unpacks to far too much for its size")
-            plain.write(block)
+    return memoryview(zstd.decompress(data)) if bytes(data[:4]) == ZSTD_MAGIC else data
 
 
 #: Message types of poses. The library knows those of ROS 2 only.
