@@ -25,8 +25,8 @@ from .common import (
 DRIFTED_STATUS = 1
 _LENS_HELP = (
     "Lens of the {} camera, perhaps with its model: [MODEL=]FILE of ROS, Kalibr (FILE:cam0) or OpenCV, or K.txt, "
-    "[MODEL=]fx,fy,cx,cy in px, [MODEL=]DIR with pictures of a chessboard, MODEL=camera for that of the connected "
-    "camera, MODEL (L515, D405 or D435) for the maker's values."
+    "[MODEL=]fx,fy,cx,cy in px, [MODEL=]DIR with pictures of a chessboard, MODEL (L515, D405 or D435) for the maker's "
+    "values."
 )
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -101,7 +100,6 @@ class _Camera:
     lens: Lens
     form: dict[str, Any]
     unit_m: float | None = None
-    T_color_depth: Matrix4 | None = None
 
 
 def describe_folder(
@@ -113,7 +111,7 @@ def describe_folder(
     """Return the rig of a folder of images in any layout that `find_frames` knows.
 
     ``options`` are ``[MODEL=]LENS`` of ``proximity``, ``tactile`` and ``color``: a file, a folder with pictures of a
-    chessboard with these inner ``corners``, ``camera``, ``fx,fy,cx,cy``, or left out for the maker's; None where files
+    chessboard with these inner ``corners``, ``fx,fy,cx,cy``, or left out for the maker's; None where files
     beside the images state it. ``unit`` is that of a count: ``mm``, metres, ``1/5000``, ``proximity=…,tactile=…``.
     """
     draft = _Draft(find_frames(folder), folder, corners)
@@ -139,9 +137,8 @@ def describe_folder(
         _check_only_color(draft, cameras[role].intrinsics)
         return FolderRig(Rig.of_one_camera(cameras[role]), {"tactile": forms[role]}, tuple(notes), tuple(warnings))
     rig = Rig(**cameras)
-    if (color := _color(draft, options, rig.proximity.intrinsics)) is not None:
-        seen = ColorCamera(intrinsics=color.lens.intrinsics, T_color_depth=color.T_color_depth)
-        rig, forms["proximity_color"] = rig.model_copy(update={"proximity_color": seen}), color.form
+    if (color := _color(draft, options.get("color"), rig.proximity.intrinsics)) is not None:
+        rig, forms["proximity_color"] = rig.model_copy(update={"proximity_color": color[0]}), color[1]
     if "tactile" in draft.stated and draft.stated.get("proximity") == draft.stated["tactile"]:
         path = draft.stated["tactile"][0].path
         warnings.append(f"both cameras have the lens in {path}; give each its own (--proximity, --tactile)")
@@ -160,12 +157,11 @@ def _check_only_color(draft: _Draft, depth: Intrinsics) -> None:
         draft.warnings.append("the colour has the size of the depth and is taken as aligned to it")
 
 
-def _color(draft: _Draft, options: dict[str, str | None], depth: Intrinsics) -> _Camera | None:
+def _color(draft: _Draft, option: str | None, depth: Intrinsics) -> tuple[ColorCamera, dict[str, Any]] | None:
     """Return the colour camera beside the proximity depth; None where colour is taken as aligned, or is left out."""
     if "proximity_color" not in draft.layout.slots:
         draft.warnings.append("the folder has no proximity colour: its image stays black")
         return None
-    option, proximity = options.get("color"), options.get("proximity") or ""
     image = read_image(draft.first("proximity_color"))
     size = image.shape[1], image.shape[0]
     if option is None and size == depth.shape[::-1]:
@@ -175,18 +171,16 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: Intrinsics) -> 
                 "lens of the colour camera (--color)"
             )
         return None
-    option = option or (proximity if proximity.endswith("=camera") else None)
     found = None if option is None else _camera(draft, "color", option, "colour", size)
-    if found is not None and found.T_color_depth is None:
-        found = replace(found, T_color_depth=_stated_pose(draft, "colour", "proximity"))
-    if found is None or found.T_color_depth is None:
+    pose = _stated_pose(draft, "colour", "proximity")
+    if found is None or pose is None:
         draft.warnings.append(
             "the pose of the colour camera is unknown, so its images are left out; state one camchain as the lens "
             "of both (--color, --proximity), or write proximity_color with T_color_depth into rig.json"
         )
         return None
     check_lens(found.lens.intrinsics, "proximity colour camera")
-    return found
+    return ColorCamera(intrinsics=found.lens.intrinsics, T_color_depth=pose), found.form
 
 
 def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple[int, int]) -> _Camera:
@@ -202,17 +196,13 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
                 f"(--{said})"
             )
         option = str(found[0])
-    model, equals, how = option.partition("=")
-    if not equals and option not in MODELS:
-        model, how = "unknown", option
-    if not how:
+    if option in MODELS:
         draft.warnings.append(
-            f"the {kind} lens of the {model} is the maker's, not measured: positions to the side are wrong by a few "
-            f"per cent; give {model}=camera, {model}=FILE, or {model}=DIR with pictures of a chessboard"
+            f"the {kind} lens of the {option} is the maker's, not measured: positions to the side are wrong by a few "
+            f"per cent; give {option}=FILE, or {option}=DIR with pictures of a chessboard"
         )
-        return _Camera(model, Lens(nominal_lens(*size, MODELS[_known(model)].views_deg[kind])), {})
-    if how == "camera":
-        return _connected(model, kind, size)
+        return _Camera(option, Lens(nominal_lens(*size, MODELS[option].views_deg[kind])), {})
+    model, how = option.split("=", 1) if "=" in option else ("unknown", option)
     if re.fullmatch(r"[^,]*(,[^,]*){3}", how):
         return _Camera(model, _typed(option, how, size), {})
     if Path(how).is_dir():
@@ -255,15 +245,6 @@ def _of_file(draft: _Draft, role: str, model: str, how: str, size: tuple[int, in
     return _Camera(model, lens, {} if lens.table is None else {"rectify": rectify}, chosen.unit_m)
 
 
-def _known(model: str) -> str:
-    if model not in MODELS:
-        raise CalibrationError(
-            f"the maker's values of {foreign(model, 40)!r} are not known; choose one of {', '.join(MODELS)}, or give "
-            "its lens as a file or as fx,fy,cx,cy"
-        )
-    return model
-
-
 def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
     try:
         fx, fy, cx, cy = map(float, how.split(","))
@@ -273,22 +254,6 @@ def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
         return make_lens("none", (), (fx, 0, cx, 0, fy, cy, 0, 0, 1), size)
     except SourceError as error:
         raise CalibrationError(f"{foreign(option, 80)!r}: {error}") from error
-
-
-def _connected(model: str, kind: str, size: tuple[int, int]) -> _Camera:
-    """Return what a connected camera states for its images."""
-    from ..sources.cameras.drivers import camera_drivers, connected_devices
-
-    for driver, device in connected_devices(camera_drivers()[0])[0]:
-        if model in device.model:
-            with closing(driver.open(device.serial, device.role or "proximity")) as camera:
-                stated = camera.calibration
-            lens = stated.depth.intrinsics if kind == "depth" else stated.color
-            if lens is not None and (lens.width, lens.height) == size:
-                return _Camera(model, Lens(lens), {}, stated.depth.depth_unit_m, stated.T_color_depth)
-    raise CalibrationError(
-        f"no connected {model} states a {kind} lens for {size[0]} x {size[1]} pixels; tactune devices"
-    )
 
 
 def _units(text: str | None) -> dict[str, float]:

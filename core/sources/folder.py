@@ -269,26 +269,17 @@ def export_folder(
     target = Path.cwd() / user_path(path)
     temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}.partial"
     try:
-        _check_free(target)
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
         remove_leftovers(target.parent, f"{target.name}.partial")
         temporary.mkdir(parents=True)
         count = _write_recording(source, temporary, frames_to_write(source, frames, progress))
-        try:
-            temporary.rename(target)  # takes the place of an empty folder in one step
-        except OSError:
-            _check_free(target)
-            raise
+        temporary.rename(target)  # takes the place of an empty folder in one step
     except OSError as error:
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return count
-
-
-def _check_free(target: Path) -> None:
-    """Raise if there is anything but an empty folder, also one that another program has filled meanwhile."""
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
 
 
 def _read_stamp(files: FrameFiles, index: int) -> _Stamp:

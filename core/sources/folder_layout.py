@@ -34,7 +34,6 @@ _WORDS: Final = {
     **dict.fromkeys(("mask", "masks", "visib", "truth", "label", "labels", "seg", "normals", "confidence"), "other"),
     **dict.fromkeys(("untouched", "vis", "preview", "colormap", "colorized"), "other"),
 }
-_MAX_FILES: Final = 400_000
 _MAX_LIST_BYTES: Final = 20_000_000
 #: Whole numbers of at least this many digits are times since 1970, in ms, us or ns.
 _STAMP_DIGITS: Final = 13
@@ -191,8 +190,6 @@ def _image_files(path: Path) -> list[Path]:
         depth = len(Path(folder).relative_to(path).parts)
         below[:] = sorted(name for name in below if not name.startswith(".") and depth < 2)
         files += [Path(folder, name) for name in names if name.lower().endswith(IMAGE_SUFFIXES) and name[0] != "."]
-        if len(files) > _MAX_FILES:
-            raise SourceError(f"{path} has more than {_MAX_FILES:,} images; open one of its subfolders")
     return files
 
 
