@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from .contact.kernels.chain import find_candidates
 from .contact.kernels.colors import color_lookup
 from .contact.kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
 from .contact.kernels.membrane import add_to_means, collect_points, find_differences
 from .contact.kernels.quadric import bend_quadrics, fit_quadrics
+from .contact.kernels.tolerance import find_candidates
 from .contact.masking import in_hsv_range
 from .contact.outliers.point_search import search_all
 from .contact.outliers.row_search import search_rows

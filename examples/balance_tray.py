@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from tactune.core import ContactPipeline, TiltEstimator, load_preset
 from tactune.core.sources.simulator.scenes import TRAY_ROLLS_DEG
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 #: The tray is level while its roll is within this angle, degrees.
 LEVEL_DEG = 1.0

@@ -26,10 +26,10 @@ from simulated_clicks import (
     make_clicks,
 )
 from tactune.core.calibration.agreement import judge_agreement
-from tactune.core.calibration.fits import fit_homography, fit_rigid
 from tactune.core.calibration.geometry import mapped
 from tactune.core.calibration.points import PointArrays
 from tactune.core.calibration.report import bound
+from tactune.core.calibration.robust_fit import fit_homography, fit_rigid
 from tactune.core.errors import CalibrationError
 from tactune.core.sources.simulator.scene import simulator_rig
 
@@ -75,7 +75,7 @@ def measure_wrong():
             except CalibrationError:
                 refused += 1
                 continue
-            rejected = set(np.flatnonzero(~fit.used))
+            rejected = set(np.flatnonzero(~fit.inliers))
             named += set(chosen) <= rejected
             exact += set(chosen) == rejected
             errors.append(np.hypot(*(fit.predict(places) - true).T).mean())

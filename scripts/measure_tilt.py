@@ -16,7 +16,7 @@ from tactune.core import ContactPipeline, TiltEstimator, load_preset
 from tactune.core.lab.table import measured_rig
 from tactune.core.sources.simulator.scenes import TRAY_ROLLS_DEG
 from tactune.core.sources.simulator.sensors import SENSORS
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 #: Where the tray is drawn, as places among the solved rolls: -4.5, 0.5 and 4.5 degrees.
 PLACES, NOISES_PER_RIG, FIRST_NOISE = (7, 17, 25), 4, 5000

@@ -8,7 +8,7 @@ says so. Older files are removed.
 
 from __future__ import annotations
 
-from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, cache_file, save_scene
+from tactune.core.sources.simulator.simulator_source import SHIPPED, SimulatorSource, cache_file, save_scene
 
 
 def main() -> None:

@@ -147,6 +147,7 @@ class TrackTab(LiveTab):
         self.track_button.toggled.connect(self._toggled)
         self.job.failed.connect(self._stop_after)
         self.working.cancel.clicked.connect(lambda: self.track_button.setChecked(False))
+        self._loading.busyChanged.connect(lambda _: self._show())
         self._loading.done.connect(self._opened)
         self._loading.failed.connect(
             lambda sentence: self.messages.state("mesh", Severity.WARNING, sentence and as_sentence(sentence))
@@ -244,7 +245,7 @@ class TrackTab(LiveTab):
     def _show(self) -> None:
         tracked, model, result = self.tracked, self.model, self.result
         self.track_button.setEnabled(model is not None and result is not None)
-        self.guide.setText(self._next_step())
+        self.guide.setText("Preparing the mesh of the object…" if self._loading.busy else self._next_step())
         self.pose.setText("" if tracked is None else pose_text(tracked))
         patch = np.zeros((0, 3)) if result is None or result.patch is None else result.patch.points
         points, colors, legend = patch, np.full(len(patch), CONTACT_ROW, np.uint8), [("patch", CONTACT_COLOR)]

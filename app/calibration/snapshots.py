@@ -15,7 +15,7 @@ from ...widgets.basics.controls import push_button
 from ..context import Context
 from ..worker.jobs import Work
 from ..worker.results import SourceInfo
-from .gather import Gather
+from .measuring_step import MeasuringStep
 from .session import Snapshot
 
 #: Frames averaged for a snapshot: noise falls to a third.
@@ -41,7 +41,7 @@ def moved_m(before: SensorFrame, after: SensorFrame, unit_m: float) -> float:
     return float(np.percentile(np.abs(first[valid].astype(np.float64) - last[valid]) * unit_m, 95))
 
 
-class SnapshotStep(Gather):
+class SnapshotStep(MeasuringStep):
     """Averages the next frames, also of a recording, into a snapshot while the membrane stands still."""
 
     at_rest = False

@@ -125,14 +125,14 @@ def create_rig(
     What files beside the images state is taken from them, such as BOP's scene_camera.json. What is assumed or missing
     is said. Without a camchain of both cameras their pose is a matter of tactune calibrate.
     """
-    from ...core.calibration.folder_rig import describe_folder
+    from ...core.calibration.rig_from_folder import rig_from_folder
     from ...core.sources.folder import write_rig
 
     board = re.fullmatch(r"([0-9]{1,3})x([0-9]{1,3})", corners)
     if board is None:
         raise typer.BadParameter(f"--corners is {corners!r}; write the inner corners as 9x6")
     options = {"proximity": proximity, "tactile": tactile, "color": color}
-    found = describe_folder(folder, options, unit, (int(board[1]), int(board[2])))
+    found = rig_from_folder(folder, options, unit, (int(board[1]), int(board[2])))
     warn(*found.warnings)
     write_rig(folder, found.rig, found.forms)
     say("\n".join([*found.notes, f"wrote {folder / 'rig.json'}"]))

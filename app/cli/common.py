@@ -353,7 +353,7 @@ def find_rig(name: str) -> Rig:
 def average_frames(source: FrameSource) -> Snapshot:
     """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
     from ...core.rig.untouched import average_untouched, frames_to_average
-    from ...core.sources.simulator.source import SimulatorSource
+    from ...core.sources.simulator.simulator_source import SimulatorSource
 
     if isinstance(source, SimulatorSource):
         warn(f"{source.name} is simulated: its object is removed for this, so nothing touches the membrane")

@@ -100,9 +100,9 @@ def serve(
     ):
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
         from ...core.model.patch import Lazy
-        from ...core.sources.capture.live import LiveLoop
+        from ...core.sources.play_as_live import PlayAsLive
 
-        playing = opened if opened.length is None else LiveLoop(opened)
+        playing = opened if opened.length is None else PlayAsLive(opened)
         tilt, poses, count = make_tilt(estimate, chosen, playing.rig), None, 0
         if shape is not None:
             from ...core.estimation.pose import PoseTracker

@@ -118,7 +118,7 @@ def track(
 
 def _mesh(path: Path | None, unit: str | None, source: FrameSource) -> ObjectMesh:
     from ...core.estimation.object_mesh import simulated_mesh
-    from ...core.sources.simulator.source import SimulatorSource
+    from ...core.sources.simulator.simulator_source import SimulatorSource
 
     if path is not None:
         return read_mesh(path, unit)

@@ -20,7 +20,7 @@ from ...core.sources.registry import open_source, opens_by_name
 from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, action_button, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
-from ..calibration.gather import OTHER_SOURCE, Gather
+from ..calibration.measuring_step import OTHER_SOURCE, MeasuringStep
 from ..context import Context
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
@@ -94,7 +94,7 @@ class StepRow(QFrame):
         self,
         title: str,
         intro: str,
-        work: Gather | None,
+        work: MeasuringStep | None,
         known: Callable[[Preset], str],
         two_cameras: bool = False,
         more: Sequence[QAbstractButton] = (),

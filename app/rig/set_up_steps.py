@@ -25,7 +25,7 @@ from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import push_button
 from ..calibration.finder import find_pairs
 from ..calibration.fitting import fit, report_changes
-from ..calibration.gather import Gather
+from ..calibration.measuring_step import MeasuringStep
 from ..calibration.session import Choices, SessionState
 from ..calibration.snapshots import FRAMES, take_snapshot
 from ..context import Context
@@ -41,7 +41,7 @@ _HELD_FRAMES: Final = 8
 _RECENT: Final = 4
 
 
-class NoiseStep(Gather):
+class NoiseStep(MeasuringStep):
     """Measures at rest; the simulator takes its object away."""
 
     wanted, min_frames = NOISE_FRAMES, MIN_FRAMES
@@ -66,7 +66,7 @@ class NoiseStep(Gather):
         return {"noise": self.found.model_dump()}
 
 
-class AlignmentStep(Gather):
+class AlignmentStep(MeasuringStep):
     """Finds points on the membrane's texture and fits the alignment to them."""
 
     wanted = FRAMES
@@ -113,7 +113,7 @@ class _Look(NamedTuple):
     released: bool
 
 
-class PressStep(Gather):
+class PressStep(MeasuringStep):
     """Base of the steps that work on a press: waits until an object is pressed firmly and held.
 
     ``press`` are the frames of the newest press, which the steps share. Without an untouched frame any frame will do.

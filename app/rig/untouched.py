@@ -19,14 +19,14 @@ from ...core.rig.untouched import (
 )
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.messages import Severity
-from ..calibration.gather import Gather
+from ..calibration.measuring_step import MeasuringStep
 from ..context import Context
 from ..document.document import UntouchedStore
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
 
 
-class UntouchedStep(Gather):
+class UntouchedStep(MeasuringStep):
     """Averages the next frames while nothing touches the membrane, as one undoable step."""
 
     wanted = UNTOUCHED_FRAMES

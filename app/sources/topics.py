@@ -12,12 +12,12 @@ from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QGridLayout, QLabel, QPus
 
 from ...core.errors import as_sentence
 from ...core.sources.registry import images_without_rig, topics_to_choose
-from ...core.sources.ros.source import Inspection
+from ...core.sources.ros.recording import Inspection
 from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, named, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..worker.jobs import Job
-from .folder_rig import LENS_FILES, FolderRigDialog
+from .folder_rig_dialog import LENS_FILES, FolderRigDialog
 
 _SLOTS = {
     "proximity.depth": ("&Proximity depth", "The camera that looks through the membrane at the object"),

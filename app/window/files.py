@@ -17,7 +17,7 @@ from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.comparison import differing_fields
 from ..document.document import Document, describe_edit
-from ..document.programs import as_command, as_python
+from ..document.headless_code import as_command, as_python
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..sources.pages import recording_name
 from ..worker.results import SourceInfo

@@ -142,7 +142,7 @@ class SourceInfo:
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
         """Return the facts about a source; an unusable preset becomes None."""
-        from ...core.sources.simulator.source import SimulatorSource  # other sources need not wait for it
+        from ...core.sources.simulator.simulator_source import SimulatorSource  # other sources need not wait for it
 
         try:
             preset = source.preset()

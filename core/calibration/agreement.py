@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from ..model.arrays import Float64Array, IndexArray
 from ..model.frames import Rig
-from .fits import Fit, RigidModel
+from .robust_fit import Fit, RigidModel
 
 #: Variances of a smooth error, relative to the noise of a pair, that are tried.
 _VARIANCES = np.geomspace(0.003, 300.0, 26)
@@ -92,9 +92,9 @@ def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Ri
     """Compare regions of a fit with ``pairs`` (N, 3), and judge at ``places`` (M, 3): tactile u, v, depth (m)."""
     if fit.degrees <= 0:
         return Agreement(fit)
-    pairs = pairs[fit.used]
-    design = fit.design[fit.used] @ np.linalg.cholesky(fit.stated_covariance)
-    residuals = fit.whitened_residuals()[fit.used]
+    pairs = pairs[fit.inliers]
+    design = fit.design[fit.inliers] @ np.linalg.cholesky(fit.stated_covariance)
+    residuals = fit.whitened_residuals()[fit.inliers]
     rows = design.reshape(-1, design.shape[2])
     basis = np.linalg.qr(rows)[0]
     rest = residuals.ravel() - basis @ (basis.T @ residuals.ravel())
@@ -124,11 +124,11 @@ def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Ri
 
 def held_out_px(fit: Fit) -> Float64Array:
     """Return the residual (N, 2) of each used pair under the fit of the others, pixels."""
-    design = fit.design[fit.used] @ np.linalg.cholesky(fit.stated_covariance)
+    design = fit.design[fit.inliers] @ np.linalg.cholesky(fit.stated_covariance)
     basis = np.linalg.qr(design.reshape(-1, design.shape[2]))[0].reshape(design.shape)
-    residuals = fit.whitened_residuals()[fit.used, :, None]
+    residuals = fit.whitened_residuals()[fit.inliers, :, None]
     without = np.linalg.solve(np.eye(2) - basis @ basis.transpose(0, 2, 1), residuals)
-    return np.asarray(np.linalg.solve(fit.whitening[fit.used], without)[:, :, 0])
+    return np.asarray(np.linalg.solve(fit.whitening[fit.inliers], without)[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig
 from ..preset import now
 from .agreement import judge_agreement
-from .fits import Fit, fit_homography, fit_rigid
 from .geometry import Alignment, clicks_in_depth
 from .points import PointArrays
 from .report import (
@@ -31,6 +30,7 @@ from .report import (
     patch_effect,
     seen_places,
 )
+from .robust_fit import Fit, fit_homography, fit_rigid
 
 ModelChoice = Literal["auto", "homography", "rigid"]
 
@@ -181,10 +181,10 @@ def _try_homography(clicked: PointArrays, ids: list[str], rig: Rig, rigid: Fit |
     Points off one plane contradict every homography without being wrong; only the rigid model can tell.
     """
     told = None
-    if rigid is not None and rigid.degrees > 0 and len(rigid.used) == len(clicked):
-        told = rigid.used
+    if rigid is not None and rigid.degrees > 0 and len(rigid.inliers) == len(clicked):
+        told = rigid.inliers
     try:
-        return fit_homography(clicked, rig, use=told, names=ids), ""
+        return fit_homography(clicked, rig, known=told, names=ids), ""
     except CalibrationError as error:
         return None, str(error)
 
@@ -218,7 +218,7 @@ def _quality(name: ModelName, fit: Fit, places: Float64Array, rigid: Fit | None)
         boundary_error_mm=boundary_mm,
         supported_tolerance=tolerance,
         pairs=tuple(
-            PairQuality(fit.model.names[i], bool(fit.used[i]), float(dx), float(dy), float(millimetres[i]))
+            PairQuality(fit.model.names[i], bool(fit.inliers[i]), float(dx), float(dy), float(millimetres[i]))
             for i, (dx, dy) in enumerate(fit.residuals_px)
         ),
     )

@@ -126,7 +126,7 @@ def compare_alignments(report: CalibrationReport, preset: Preset) -> Comparison 
     record = preset.alignment.calibration
     seen = set() if record is None else {_clicks(pair) for pair in record.points if pair.enabled}
     fitted = {pair.id for pair in report.pairs if _clicks(pair) in seen}
-    points, names = fit.model.points.keep(fit.used), np.array(fit.model.names)[fit.used]
+    points, names = fit.model.points.keep(fit.inliers), np.array(fit.model.names)[fit.inliers]
     before = points.proximity - present.pixels(rig, points.places, points.in_color)
     usable = np.isfinite(before).all(axis=1) & ~np.isin(names, list(fitted))
     new, old = ((residuals[usable] ** 2).sum(axis=1) for residuals in (held_out_px(fit), before))

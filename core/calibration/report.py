@@ -18,8 +18,8 @@ from ..model.files import finite_or_none
 from ..model.frames import Rig
 from ..preset import HomographyAlignment, Preset, RigidAlignment, now
 from .agreement import Agreement
-from .fits import Fit
 from .points import listed
+from .robust_fit import Fit
 
 #: Noise of one pixel of either depth camera on this sensor, metres.
 PROXIMITY_NOISE_M = 0.001
@@ -163,7 +163,7 @@ class ModelQuality:
         return tuple(pair.id for pair in self.pairs if not pair.used)
 
     def far_from_fit(self) -> list[PairQuality]:
-        """Return the used pairs with a much larger residual than the median, the worst first."""
+        """Return the inliers with a much larger residual than the median, the worst first."""
         kept = sorted((pair for pair in self.pairs if pair.used), key=lambda pair: -pair.residual_px)
         usual = float(np.median([pair.residual_px for pair in kept]))
         limit = max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)

@@ -20,9 +20,9 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 from .detect import to_gray
-from .fits import Fit, fit_rigid
 from .geometry import Alignment
 from .points import PointArrays
+from .robust_fit import Fit, fit_rigid
 from .snapshots import depth_under
 
 _ROUNDS = 3
@@ -64,7 +64,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
             f"{fit.rms_px:.1f} px, right ones agree to {_MAX_RMS_PX:g} px; check that both images show the same "
             "scene, or click the points"
         )
-    kept = found[fit.used]
+    kept = found[fit.inliers]
     best_first = kept[np.argsort(-kept[:, 6], kind="stable")].tolist()
     image: Literal["depth", "color"] = "depth" if rig.proximity_color is None else "color"
     pairs = [

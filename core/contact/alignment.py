@@ -17,7 +17,7 @@ from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, U
 from ..model.clouds import ray_table
 from ..model.frames import Rig
 from ..model.patch import AlignedDepth
-from .kernels import chain as kernels
+from .kernels import tolerance as kernels
 from .kernels.lenses import lens_parameters
 from .kernels.threads import in_parallel
 

@@ -17,8 +17,8 @@ from ..model.arrays import Float32Array, Uint16Array, median
 from ..model.clouds import pixel_areas_m2, valid_depth
 from ..model.frames import SensorFrame
 from ..model.patch import Boundary, Candidates, Doubt, DoubtOf, Lazy, MembraneFacts, PressureFacts
-from .membrane.bias import rig_bias
 from .membrane.equilibrium import LIMITS_PER_M, USUAL_PER_M
+from .membrane.frame_bias import rig_bias
 
 if TYPE_CHECKING:
     from ..preset import Preset
@@ -61,7 +61,7 @@ _DEFLATED: Final = 0.1
 _SURE_SIGMAS, _OF_WINDOW = 8.0, 0.5
 
 
-class Judge:
+class DoubtEstimator:
     """Says how sure the patches of one rig are; with an untouched frame it knows how far the membrane has moved.
 
     Whether a camera has moved since the untouched frame, a check for drift tells (`tactune.core.rig.drift.Watch`).

@@ -14,7 +14,7 @@ from ..model.patch import ContactPatch, Lazy
 from .alignment import make_alignment
 from .checks import check_rig, check_test
 from .contact_test import ContactTest, Steps
-from .doubt import Judge
+from .doubt import DoubtEstimator
 from .membrane.average import AveragedDepth
 from .pixels import Pixels, Workspace
 
@@ -129,7 +129,8 @@ class ContactPipeline:
             frame = memory.averaged or frame
         found = test.find(frame, self.preset, due)
         due.finish()
-        doubt_of = Judge(test.pixels, self.cameras_moved).doubts(frame, self.preset, found.membrane, found.pressure)
+        estimator = DoubtEstimator(test.pixels, self.cameras_moved)
+        doubt_of = estimator.doubts(frame, self.preset, found.membrane, found.pressure)
         if memory.patch is not None and not due.stale:
             return replace(
                 memory.patch, sequence=frame.sequence, stage_ms=due.ms, skipped=(UNCHANGED,), doubt_of=doubt_of

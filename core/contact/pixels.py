@@ -17,13 +17,13 @@ from ..model.intrinsics import Intrinsics
 from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates, Provenance
 from ..model.sections import RegionSection
 from .alignment import AlignmentModel
-from .kernels import chain as kernels
-from .kernels.chain import ColorLookup
+from .kernels import tolerance as kernels
 from .kernels.coarse import CoarseTest
 from .kernels.colors import color_lookup, hsv_limits
 from .kernels.lenses import lens_parameters
 from .kernels.simd import LANES
 from .kernels.threads import ROWS, in_parallel
+from .kernels.tolerance import ColorLookup
 from .masking import Light
 from .outliers.grid import Grid
 

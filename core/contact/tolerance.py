@@ -1,7 +1,7 @@
 """The tolerance test, as published by Yin et al.: both distances agree within a share of the distance.
 
 Depth ranges of image tiles exclude those that cannot hold contact (`kernels.coarse`). In the others one pass over
-sixteen pixels at once aligns, tests region, range, |dp - dt| <= t |dp| and colour, and deprojects (`kernels.chain`).
+sixteen pixels at once aligns, tests region, range, |dp - dt| <= t |dp| and colour, deprojects (`kernels.tolerance`).
 Rigid alignment projects each proximity point into the tactile image and reads the depth there: no holes, exact at
 contact. Then statistical outliers and small contacts are dropped.
 """

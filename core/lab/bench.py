@@ -76,7 +76,7 @@ def make_scene(name: str) -> BenchScene:
 
 def _simulated(scene: str, depth_m: float) -> BenchScene:
     """Return the first frame of a simulated press that is at least ``depth_m`` deep, or the deepest."""
-    from ..sources.simulator.source import SimulatorSource
+    from ..sources.simulator.simulator_source import SimulatorSource
 
     source = SimulatorSource(scene=scene, sensor="datasheet")
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])

@@ -25,7 +25,7 @@ from ..rig.untouched import average_untouched
 from ..sources.simulator.objects import HELD_OUT
 from ..sources.simulator.scenes import MEMBRANES, Variant
 from ..sources.simulator.sensors import DEFAULT_SENSOR
-from ..sources.simulator.source import SimulatorSource
+from ..sources.simulator.simulator_source import SimulatorSource
 from .table import FIRST_HELD_OUT_SEED, aligned
 
 #: A large error of the boundary, mm.

@@ -225,7 +225,7 @@ class _Rig:
 
 def measured_rig(preset: Preset, source: FrameSource) -> Preset:
     """Return the preset with noise and bias of a simulated rig, measured while nothing touches the membrane."""
-    from ..sources.simulator.source import SimulatorSource  # on demand: it loads the solver
+    from ..sources.simulator.simulator_source import SimulatorSource  # on demand: it loads the solver
 
     if not isinstance(source, SimulatorSource):
         raise TactuneError(f"{source.name} has no frames without the object; choose a simulated source")

@@ -90,7 +90,7 @@ class AlignedDepth:
 
 
 def relative_difference(expected_m: Float32Array, measured_m: Float32Array) -> Float32Array:
-    """Return ``(dp - dt) / dp``, as histogram and pictures show it; the kernels' `agree` tests it."""
+    """Return ``(dp - dt) / dp``, as histogram and pictures show it; the kernels' `within_tolerance` tests it."""
     return np.asarray((expected_m - measured_m) / expected_m, np.float32)
 
 

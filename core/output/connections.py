@@ -43,7 +43,7 @@ class Connections:
 
             sinks.append(FoxgloveSink(self.host or LOOPBACK, self.port, self.max_clients, self.origins))
         if self.ros2:
-            from .ros2 import DdsSink
+            from .ros2 import Ros2Sink
 
-            sinks.append(DdsSink(self.domain, self.namespace, self.host))
+            sinks.append(Ros2Sink(self.domain, self.namespace, self.host))
         return sinks

@@ -178,9 +178,9 @@ class FoxgloveSink:
         """Refuse web pages that are not allowed, and clients beyond the largest number."""
         for origin in request.headers.get_all("Origin"):
             if origin.startswith(("http:", "https:", "null")) and origin.lower() not in self._origins:
-                page = foreign(origin, 100)
-                _log.warning("Foxglove: the web page %s was refused; --origin %s lets it in", page, page)
-                return connection.respond(HTTPStatus.FORBIDDEN, f"Tactune refuses this web page; see --origin {page}\n")
+                refused = f"the web page {foreign(origin, 100)} was refused; add it to the origins (serve --origin)"
+                _log.warning("Foxglove: %s", refused)
+                return connection.respond(HTTPStatus.FORBIDDEN, f"Tactune: {refused}\n")
         if len(self._clients) >= self._max_clients:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{self._max_clients} clients are connected\n")
         return None

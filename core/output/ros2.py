@@ -16,7 +16,7 @@ _HISTORY: Final = 4
 _NAMESPACE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
-class DdsSink:
+class Ros2Sink:
     """ROS 2 topics by DDS; a `tactune.core.output.publisher.Sink`.
 
     ``namespace`` is put before every topic but ``/tf`` and ``/tf_static``. ``host`` is the address of the network

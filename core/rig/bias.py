@@ -15,7 +15,7 @@ import numpy as np
 
 from ..contact.alignment import make_alignment
 from ..contact.masking import in_hsv_range
-from ..contact.membrane.bias import most_frequent_m
+from ..contact.membrane.frame_bias import most_frequent_m
 from ..contact.pixels import colors_at, region_bounds
 from ..model.arrays import Float32Array, spread
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth

@@ -19,7 +19,7 @@ from ..calibration.check import Drift, check_alignment
 from ..calibration.geometry import color_lens, named_sides
 from ..calibration.texture import tracked
 from ..contact.alignment import make_alignment
-from ..contact.kernels.chain import Region
+from ..contact.kernels.tolerance import Region
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError, TactuneError
 from ..model.arrays import Float64Array, Uint8Array, Uint16Array, spread

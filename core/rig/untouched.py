@@ -127,7 +127,7 @@ def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source
 
 def untouched_frame(source: FrameSource, progress: Progress | None = None) -> SensorFrame | None:
     """Return the source's untouched frame, or None; the simulator's is measured, with noise, without its object."""
-    from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
+    from ..sources.simulator.simulator_source import SimulatorSource  # on demand: other sources need not wait for it
 
     untouched = source.untouched()
     if untouched is not None or not isinstance(source, SimulatorSource):
@@ -141,7 +141,7 @@ def frames_to_average(
     source: FrameSource, count: int, progress: Progress | None = None
 ) -> Iterator[Iterable[SensorFrame]]:
     """Yield the next ``count`` frames of a source, without the simulator's object, which repeats them as needed."""
-    from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
+    from ..sources.simulator.simulator_source import SimulatorSource  # on demand: other sources need not wait for it
 
     if not isinstance(source, SimulatorSource):
         yield islice(source, count)

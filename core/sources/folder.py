@@ -38,7 +38,7 @@ from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validation_sentence
 from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write
 from .folder_layout import FrameFiles, find_frames, own_images
-from .lens import Lens, make_lens
+from .lens_files import Lens, make_lens
 
 CAMERAS: Final = ("proximity", "tactile", "proximity_color")
 _STRICT: Final = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)

@@ -17,14 +17,14 @@ from .folder_layout import find_frames
 
 if TYPE_CHECKING:
     from ..preset import CamerasSection
-    from .ros.source import Inspection
+    from .ros.recording import Inspection
 
 GROUP = "tactune.sources"
 
 
 def _open_simulator(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
     from .simulator.scenes import read_name  # not above: it compiles kernels' modules
-    from .simulator.source import SimulatorSource
+    from .simulator.simulator_source import SimulatorSource
 
     return SimulatorSource(progress=progress, **read_name(rest))
 
@@ -36,26 +36,26 @@ def _open_folder(rest: str, progress: Progress | None, _: CamerasSection | None)
 
 
 def _open_cameras(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
-    from .cameras.source import open_in_process
+    from .cameras.camera_source import open_in_process
 
     return open_in_process(rest, progress, cameras)
 
 
-def _open_live(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .capture.source import ProcessSource
+def _open_as_live(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .capture.process_source import ProcessSource
 
     if not rest:
         raise SourceError("live: needs another source, as in live:sim")
-    return ProcessSource(partial(_play_live, rest), progress)
+    return ProcessSource(partial(_play_as_live, rest), progress)
 
 
-def _play_live(name: str, progress: Progress) -> FrameSource:
+def _play_as_live(name: str, progress: Progress) -> FrameSource:
     """Open a recording in the capture process and play it as if it were live."""
-    from .capture.live import LiveLoop
+    from .play_as_live import PlayAsLive
 
     source = open_source(name, progress)
     try:
-        return LiveLoop(source)
+        return PlayAsLive(source)
     except SourceError:
         source.close()
         raise
@@ -63,7 +63,7 @@ def _play_live(name: str, progress: Progress) -> FrameSource:
 
 def _open_recording(scheme: str, rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
     if split_topics(rest)[1] or _is_of_others(scheme, rest):
-        from .ros.source import RosSource
+        from .ros.recording import RosSource
 
         return RosSource(scheme, rest, progress)
     if scheme == "bag":
@@ -128,7 +128,7 @@ _OWN: Final = {
         ),
         SourceKind("cameras", "Cameras", "cameras:[PROXIMITY,TACTILE]", _open_cameras),
         SourceKind("ros2", "Live ROS 2 topics", "ros2:[?domain=N]", _open_ros2),
-        SourceKind("live", "Any source, played live", "live:SOURCE", _open_live),
+        SourceKind("live", "Any source, played live", "live:SOURCE", _open_as_live),
     )
 }
 
@@ -170,7 +170,7 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
 
 def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection | None:
     """Return what there is to choose before another program's recording is opened; None if nothing."""
-    from .ros.source import inspect_recording
+    from .ros.recording import inspect_recording
 
     kind, rest = _resolved(name)
     is_here = path_exists(rest) or bool(recording_files(rest))

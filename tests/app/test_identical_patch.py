@@ -15,7 +15,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 REAL_PAIR_PRESET = Path(__file__).resolve().parents[1] / "data" / "real_pair.json"
 

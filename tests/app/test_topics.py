@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QDialogButtonBox
 from fakes import FakeSource
 from hands import CONTROL, LEFT, show_source, type_path
 from ros_maker import color, depth, make_recording
-from tactune.app.sources.folder_rig import FolderRigDialog
+from tactune.app.sources.folder_rig_dialog import FolderRigDialog
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.ros.topics import load_topics, store_topics
 

@@ -63,9 +63,9 @@ def test_a_plain_run_loads_and_unpacks_little():
     program = """
 import sys
 from tactune.app.cli.main import main
-from tactune.core.sources.simulator import source
-unpack, unpacked = source._PackedStates._next, []
-source._PackedStates._next = lambda states: unpacked.append(1) or unpack(states)
+from tactune.core.sources.simulator import simulator_source
+unpack, unpacked = simulator_source._PackedStates._next, []
+simulator_source._PackedStates._next = lambda states: unpacked.append(1) or unpack(states)
 sys.argv = ["tactune", "run", "--source", "sim", "--frames", "2"]
 main()
 heavy = ("scipy.spatial", "scipy.optimize", "scipy.special", "rosbags", "mcap", "PIL")

@@ -12,7 +12,7 @@ import lz4.frame
 import pytest
 
 from attacks import bounded
-from tactune.core.calibration.folder_rig import fit_lens
+from tactune.core.calibration.rig_from_folder import fit_lens
 from tactune.core.errors import TactuneError
 from tactune.core.model.loading import decode_image
 from tactune.core.sources.presets import load_preset

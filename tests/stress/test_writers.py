@@ -1,11 +1,8 @@
 """Every kind of file while its writer is killed, beside a second writer, and on a full disk."""
 
-import itertools
 import multiprocessing
 import random
-import resource
 import shutil
-import signal
 import sys
 import time
 from pathlib import Path
@@ -13,9 +10,8 @@ from pathlib import Path
 import pytest
 
 import kinds
-from kinds import KINDS
+from kinds import KINDS, keep_writing, set_values, write_once
 from tactune.app.settings import Settings
-from tactune.core.errors import TactuneError
 
 pytestmark = [
     pytest.mark.long,
@@ -46,31 +42,6 @@ def start():
             return process, ours
 
         yield run
-
-
-def keep_writing(said, name, folder, first):
-    heard_of = False
-    for n in itertools.count(first):
-        try:
-            KINDS[name].write(folder, n % 2)
-        except TactuneError:  # such as a name that the other writer has taken, often several times in a row
-            continue
-        if not heard_of:
-            said.send("written")
-            heard_of = True
-
-
-def write_once(said, name, folder, limit):
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    try:
-        KINDS[name].write(folder, 1)
-    except TactuneError as error:
-        said.send(str(error))
-    except BaseException as error:
-        said.send(error)
-    else:
-        said.send("")
 
 
 def heard(said, name):
@@ -122,14 +93,6 @@ def test_two_writers_leave_whole_files(name, tmp_path, start, qapp):
         writer.kill()
         writer.join(HUNG_S)
     check(KINDS[name], tmp_path)
-
-
-def set_values(said, file, who):
-    kinds.application()
-    settings = Settings(file)
-    for number in range(50):
-        settings.set(f"{who}/{number}", number)
-        settings.sync()
 
 
 def test_two_windows_forget_no_value_of_each_other(tmp_path, start, qapp):

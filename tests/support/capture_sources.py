@@ -15,7 +15,7 @@ from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import ColorCamera, DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, FrameSource, Health, Progress
-from tactune.core.sources.capture.live import LiveLoop
+from tactune.core.sources.play_as_live import PlayAsLive
 
 Size = tuple[int, int]
 
@@ -86,11 +86,11 @@ def recorded(rig: Rig, frames: Sequence[SensorFrame], rate_hz: float = 30.0) -> 
     return FakeSource(frames=frames, rig=rig, name="recorded", rate_hz=rate_hz, untouched=untouched)
 
 
-def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -> LiveLoop:
+def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -> PlayAsLive:
     """Open a recording that is played live."""
     progress(0.5, "half way")
     time.sleep(0.3)
-    return LiveLoop(recorded(rig, frames))
+    return PlayAsLive(recorded(rig, frames))
 
 
 class Troubled(FrameSource):

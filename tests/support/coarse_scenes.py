@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactune.core.sources.simulator import source
+from tactune.core.sources.simulator import simulator_source
 from tactune.core.sources.simulator.scenes import Scene, Variant, resolve_scene
 
 
@@ -14,4 +14,4 @@ def solve_coarsely() -> None:
     def resolve(name: str, variant: Variant, cells: tuple[int, int] | None) -> Scene:
         return resolve_scene(name, variant, cells or ((60, 36) if name == "tray" else (118, 68)))
 
-    pytest.MonkeyPatch().setattr(source, "resolve_scene", resolve)
+    pytest.MonkeyPatch().setattr(simulator_source, "resolve_scene", resolve)

@@ -20,7 +20,7 @@ from tactune.core.sources.simulator.membrane import Membrane
 from tactune.core.sources.simulator.render import Camera
 from tactune.core.sources.simulator.scene import Press, cameras
 from tactune.core.sources.simulator.scenes import Scene, Variant
-from tactune.core.sources.simulator.source import SimulatorSource, SolvedScene
+from tactune.core.sources.simulator.simulator_source import SimulatorSource, SolvedScene
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import os
+import resource
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -31,7 +33,7 @@ from tactune.core import ContactPipeline, open_source
 from tactune.core.calibration.points import read_points as read_pairs
 from tactune.core.calibration.points import write_points
 from tactune.core.calibration.snapshots import content_hash
-from tactune.core.errors import ExportError, SourceError
+from tactune.core.errors import ExportError, SourceError, TactuneError
 from tactune.core.estimation.object_mesh import load_mesh
 from tactune.core.estimation.pose import open_poses
 from tactune.core.lab import table
@@ -50,10 +52,10 @@ from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import export_folder, write_rig
-from tactune.core.sources.lens import read_lenses
+from tactune.core.sources.lens_files import read_lenses
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
-from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
+from tactune.core.sources.simulator.simulator_source import SolvedScene, load_scene, save_scene
 from tactune.core.tuning.measure import Measured, Workers
 from tactune.core.tuning.plan import Axis, Clip, Plan
 from tactune.core.tuning.study import Study
@@ -434,3 +436,39 @@ KINDS: dict[str, Kind] = {
     "database": Kind(copied("d405_2.58.4.db3"), play_all, ours=False),
     "database of PNG": Kind(copied("d405_2.59.1.db3"), play_all, ours=False),
 }
+
+
+# What tests start in processes of their own, which import it from here
+
+
+def keep_writing(said, name, folder, first):
+    heard_of = False
+    for n in itertools.count(first):
+        try:
+            KINDS[name].write(folder, n % 2)
+        except TactuneError:  # such as a name that the other writer has taken, often several times in a row
+            continue
+        if not heard_of:
+            said.send("written")
+            heard_of = True
+
+
+def write_once(said, name, folder, limit):
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    try:
+        KINDS[name].write(folder, 1)
+    except TactuneError as error:
+        said.send(str(error))
+    except BaseException as error:
+        said.send(error)
+    else:
+        said.send("")
+
+
+def set_values(said, file, who):
+    application()
+    settings = Settings(file)
+    for number in range(50):
+        settings.set(f"{who}/{number}", number)
+        settings.sync()

@@ -12,7 +12,7 @@ import trimesh
 from tactune.core.calibration.geometry import moved
 from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array
 from tactune.core.sources.simulator.objects import object_surface, to_surface
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 #: Thermochromic paint, touched and not, RGB.
 PINK: Final = (235, 110, 170)

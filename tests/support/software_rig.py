@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from tactune.core.preset import CamerasSection
 from tactune.core.sources.base import CameraRole
+from tactune.core.sources.cameras.camera_source import CameraSource
 from tactune.core.sources.cameras.realsense import RealSenseDriver, load_driver
-from tactune.core.sources.cameras.source import CameraSource
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30.0
 PROXIMITY_SERIAL, TACTILE_SERIAL = "f0090001", "130322270002"

@@ -141,7 +141,7 @@ class Messages(QWidget):
     With ``room_px`` all but a single large message keep to that height at the lower edge.
     """
 
-    covers = pyqtSignal(int)  # so many pixels at the lower edge
+    covers = pyqtSignal(int)  # height at the lower edge that messages cover, pixels
 
     def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0, room_px: int = 0) -> None:
         super().__init__(over)

@@ -7,11 +7,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Int32Array, Uint16Array
-from .chain import AlignmentTables
 from .compiling import inline, kernel
 from .lenses import project
 from .membrane import bulge_at, derivatives, divide_by_shares
 from .simd import LANES
+from .tolerance import AlignmentTables
 
 #: Upper limit of a slope: the depths of a steeper cell belong to both sides of an edge.
 _MAX_SLOPE: Final = 2.0

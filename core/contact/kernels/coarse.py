@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.arrays import AnyArray, BoolArray, Float32Array, Int32Array
-from .chain import SLACK, TILE_ROWS, AlignmentTables, DepthImages, DepthLimits, accepted_range
 from .compiling import inline, kernel
 from .lenses import PINHOLE
 from .simd import (
@@ -42,6 +41,7 @@ from .simd import (
     to_ints,
     where,
 )
+from .tolerance import SLACK, TILE_ROWS, AlignmentTables, DepthImages, DepthLimits, accepted_range
 
 #: A rectangle of at most this many tiles in each direction is tested at once first; a larger one is rare.
 _SPAN = 3

@@ -1,4 +1,4 @@
-"""The loops over pixels of the membrane contact test, compiled; see `tactune.core.contact.kernels.chain`."""
+"""The loops over pixels of the membrane contact test, compiled; see `tactune.core.contact.kernels.tolerance`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.arrays import Float32Array, Uint8Array
-from .chain import (
+from .compiling import inline, kernel
+from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scratch, ints, load, to_floats, where
+from .tolerance import (
     TILE_ROWS,
     both_depths,
     is_depth,
@@ -18,8 +20,6 @@ from .chain import (
     vector_place,
     within,
 )
-from .compiling import inline, kernel
-from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scratch, ints, load, to_floats, where
 
 #: States of pixels, as `find_differences` writes them. The colour of masked ones is the mask's; excluded ones lie
 #: outside the region, or on the membrane outside the range; unseen ones have no proximity or no tactile depth.
@@ -77,7 +77,7 @@ def find_differences(
 ) -> None:
     """Write the differences between both depths for rows ``first`` to ``last - 1`` of a `Rectangle`.
 
-    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `chain.find_candidates`; ``out`` are
+    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `tolerance.find_candidates`; ``out`` are
     `DifferenceImages`.
     """
     width, pixels = test.alignment.size.width, plane_size(test.alignment.size)

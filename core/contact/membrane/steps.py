@@ -17,12 +17,11 @@ from ...model.patch import Boundary, Candidates, Lazy, MembraneFacts, Provenance
 from ..alignment import make_alignment
 from ..kernels import membrane as kernels
 from ..kernels.cells import MembraneImage
-from ..kernels.chain import TILE_ROWS, flat
 from ..kernels.simd import LANES
 from ..kernels.threads import ROWS, in_parallel
+from ..kernels.tolerance import TILE_ROWS, flat
 from ..outliers.clusters import in_large_cluster
 from ..pixels import MAX_TILES_ALONE, Pixels, Workspace, depth_images
-from .bias import COARSE_CELL_PX, SOME, FrameBias, RigBias, frame_bias, rig_bias
 from .equilibrium import (
     CELL_PX,
     FAR_M,
@@ -37,6 +36,7 @@ from .equilibrium import (
     to_pixels,
     usable_curvature_per_m,
 )
+from .frame_bias import COARSE_CELL_PX, SOME, FrameBias, RigBias, frame_bias, rig_bias
 from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ Assumed: the same tension in all directions, no bending stiffness, no friction.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class PressureTest(ContactTest):
             held = np.zeros_like(self._touching)
             held[self._cells_of(self._kept)] = True
             touching = _parts_with(self._touching, held)
-            self._facts = now.facts(touching, preset, self._values(now, self._contact, frame))
+            self._facts = self._facts_of(now, touching, self._contact, frame, preset.pressure)
         groups = self._inside, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
@@ -133,11 +133,15 @@ class PressureTest(ContactTest):
         assert self._rest is not None
         return self._rest.grid.cells_of(places, self.pixels.rig.tactile.intrinsics.width)
 
-    def _values(self, now: _Now, contact: Candidates, frame: SensorFrame) -> dict[str, Any]:
-        """Return values of cells on the pixels of both cameras and at points, by the fields of `PressureFacts`."""
+    def _facts_of(
+        self, now: _Now, touching: BoolArray, contact: Candidates, frame: SensorFrame, section: PressureSection
+    ) -> PressureFacts:
+        """Return map and force, that of all contacts together, in the proximity depth frame."""
         assert self._rest is not None
-        rig, grid, relative, sigmas = self.pixels.rig, self._rest.grid, now.relative.astype(np.float32), now.sigmas
-        on_membrane = Lazy(lambda: grid.to_image(relative, rig.tactile.intrinsics.shape, math.nan))
+        rig, rest, relative, sigmas = self.pixels.rig, self._rest, now.relative.astype(np.float32), now.sigmas
+        force, sigma, at_rim, agrees = now.force(touching)
+        turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
+        on_membrane = Lazy(lambda: rest.grid.to_image(relative, rig.tactile.intrinsics.shape, math.nan))
 
         def at(pixels: IndexArray) -> Float32Array:
             return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
@@ -153,8 +157,23 @@ class PressureTest(ContactTest):
             found.reshape(-1)[known] = at(known)
             return found
 
-        at_points = Lazy(lambda: at(contact.pixels))
-        return {"relative": Lazy(image), "on_membrane": on_membrane, "at_points": at_points, "sigmas_at": sigmas_at}
+        return PressureFacts(
+            relative=Lazy(image),
+            on_membrane=on_membrane,
+            at_points=Lazy(lambda: at(contact.pixels)),
+            sigmas_at=sigmas_at,
+            relative_sigma=median(now.sigma[::2, ::2]),
+            force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
+            force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
+            inflation_pa=section.gauge_pa,
+            inflation_sigma_pa=section.gauge_sigma_pa,
+            window_m=rest.window * rest.cell_m,
+            edge_m=now.edge_window * rest.cell_m,
+            curvature_growth=now.grown,
+            at_rim=at_rim,
+            agrees=agrees,
+            noise_known=rest.noise_known,
+        )
 
     def _provenance(
         self, frame: SensorFrame, cells: Float64Array, seen: Candidates, pressed: Candidates, contact: Candidates
@@ -267,8 +286,8 @@ class _Now:
         self.grown, self.relative, scatter = _against_free(ratio, sigma)
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
         self._scatter = max(scatter, 1.0)
-        self._sigma = sigma * (self._scatter / self.grown if self.grown > 0 else math.nan)
-        self._edge_window = rest.window
+        self.sigma = sigma * (self._scatter / self.grown if self.grown > 0 else math.nan)
+        self.edge_window = rest.window
 
     def contact(self, section: PressureSection) -> Float64Array:
         """Return a level of the cells that is above 0 in contact, and falls through 0 at its edge.
@@ -281,7 +300,7 @@ class _Now:
         import cv2
 
         with np.errstate(invalid="ignore", divide="ignore"):
-            noise = self._sigma * self._shape.growth**_CUT_POWER
+            noise = self.sigma * self._shape.growth**_CUT_POWER
             limit = np.maximum(section.limit, _LEAST_SIGMAS * noise)
             pressed = (self.relative > limit) & (self._moved_m > _MOVED_M)
             self.sigmas = self.relative / noise
@@ -296,14 +315,14 @@ class _Now:
             level = self._flatness() - section.share
             flat = _parts_with((level > 0) & (self._moved_m > 0), pressed, _SMALL_CELLS)
         inside = np.where(flat, level, np.fmin(level, _OUTSIDE))
-        self._edge_window = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
+        self.edge_window = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
         reach = 2 * math.ceil(self._rest.window) + 1
         small = pressed & (cv2.dilate(flat.view(np.uint8), np.ones((reach, reach), np.uint8)) == 0)
         peaks = np.where(pressed, self.relative, 0.0)
         small = _parts_with(small, small & (peaks >= cv2.dilate(peaks, np.ones((3, 3)))))
         count, labels = cv2.connectedComponents(small.view(np.uint8), connectivity=8)
         for number in range(1, count):
-            self._edge_window = self._rest.window
+            self.edge_window = self._rest.window
             own = labels == number
             levels = np.append(np.sort(self.relative[own])[::-1], limit[own].min())
             # number of cells that the window alone raises above the limit where the whole force presses at one point
@@ -344,13 +363,13 @@ class _Now:
         both = cv2.GaussianBlur(both, size, _EDGE_WINDOW, borderType=cv2.BORDER_CONSTANT)
         return np.where(known, both[..., 0] / np.maximum(both[..., 1], 1e-9), np.nan)
 
-    def facts(self, touching: BoolArray, preset: Preset, values: dict[str, Any]) -> PressureFacts:
-        """Return map and force, that of all contacts together, in the proximity depth frame."""
+    def force(self, touching: BoolArray) -> tuple[Float64Array, Float64Array, bool, bool]:
+        """Return the force over the inflation (m^2, tactile frame), its deviation, and `at_rim` and `agrees`."""
         import cv2
 
         from . import surface
 
-        rest, section = self._rest, preset.pressure
+        rest = self._rest
         force, sigma, at_rim, agrees = np.zeros(3), np.zeros(3), False, True
         if touching.any():
             slopes = self._fine.get().fit[0]
@@ -379,21 +398,7 @@ class _Now:
             sigma = np.sqrt(by_slopes**2 + by_tension**2 + by_model**2)
             # a force that is not known disagrees with nothing
             agrees = not np.linalg.norm(force - by_area) >= _APART_SIGMAS * np.linalg.norm(sigma)
-        turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
-        return PressureFacts(
-            **values,
-            relative_sigma=median(self._sigma[::2, ::2]),
-            force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
-            force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
-            inflation_pa=section.gauge_pa,
-            inflation_sigma_pa=section.gauge_sigma_pa,
-            window_m=rest.window * rest.cell_m,
-            edge_m=self._edge_window * rest.cell_m,
-            curvature_growth=self.grown,
-            at_rim=at_rim,
-            agrees=agrees,
-            noise_known=rest.noise_known,
-        )
+        return force, sigma, at_rim, agrees
 
 
 def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Float64Array, float]:

@@ -16,7 +16,7 @@ from ...errors import SourceError
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.loading import decode_image
 from ..base import CameraOption, CameraRole
-from ..lens import Lens, make_lens
+from ..lens_files import Lens, make_lens
 from ..ros_image import RawImage
 from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Images
 

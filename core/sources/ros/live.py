@@ -22,14 +22,14 @@ from ...model.arrays import AnyArray, Int64Array, Uint8Array
 from ...preset import CamerasSection
 from ..base import CameraRole, FrameSource, Health, Progress
 from ..cameras.camera import Camera, CameraDriver, DeviceInfo, Images
+from ..cameras.camera_source import CameraSource
 from ..cameras.pairing import period_s
-from ..cameras.source import CameraSource
-from ..capture.source import ProcessSource
-from ..lens import Lens
+from ..capture.process_source import ProcessSource
+from ..lens_files import Lens
 from ..ros_image import RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
-from .source import NAMING, GapError, StatedRig, stated_rig
+from .recording import NAMING, GapError, StatedRig, stated_rig
 from .topics import COMPRESSED, ImageTopic, Topics, list_topics, split_name, survey
 
 #: Longest search, seconds, and in how many looks nothing new may come before it ends: a busy computer looks rarely.

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...contact.doubt import LOST_PRINTS
 from ...contact.masking import masked_share
-from ...contact.membrane.bias import rig_bias
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m
+from ...contact.membrane.frame_bias import rig_bias
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus

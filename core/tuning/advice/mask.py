@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ...contact.masking import in_hsv_range
-from ...contact.membrane.bias import most_frequent_m
+from ...contact.membrane.frame_bias import most_frequent_m
 from ...contact.pixels import colors_at
 from ...errors import AdviceError
 from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...contact.membrane.bias import rig_bias
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m, usable_curvature_per_m
+from ...contact.membrane.frame_bias import rig_bias
 from ...contact.membrane.section import LARGEST_BIAS_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline

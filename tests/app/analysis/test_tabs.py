@@ -20,7 +20,7 @@ from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import resolve_scene
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 PRESSED = 40
 
@@ -66,6 +66,7 @@ def test_a_mesh_is_opened_refused_or_taken_from_the_simulator(qtbot, tab, source
     qtbot.waitUntil(lambda: any("roken.stl" in sentence for sentence in tab.messages.sentences()))
     assert tab.model is model
     QTest.mouseClick(tab.simulated, LEFT)
+    assert tab.guide.text() == "Preparing the mesh of the object…"
     qtbot.waitUntil(lambda: tab.model.mesh.name == "cup")
     np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source.scene, source.name).vertices_m)
 

@@ -20,7 +20,7 @@ from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import untouched_frame
-from tactune.core.sources.lens import read_lenses
+from tactune.core.sources.lens_files import read_lenses
 from tactune.core.sources.tactune_files import McapSource
 
 

@@ -11,7 +11,7 @@ from mcap_ros2.decoder import DecoderFactory
 from fakes import FakeSource
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.folder import export_folder
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 #: Of the simulator's press: without contact, and with more and more.
 FRAMES = (0, 17, 18, 19)

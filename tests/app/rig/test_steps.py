@@ -11,7 +11,7 @@ from PyQt6.QtTest import QTest
 from fakes import FakeCameras, FakeSource, at_rest, tiny_frame
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
 from side_by_side import HEIGHT, PRINT_MASK, WIDTH, counts, rig, wall_source
-from tactune.app.calibration import gather
+from tactune.app.calibration import measuring_step
 from tactune.app.rig import untouched
 from tactune.app.rig.set_up_steps import NoiseStep
 from tactune.app.worker.threads import wait_for_abandoned
@@ -72,13 +72,13 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
 
 
 def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch):
-    monkeypatch.setattr(gather, "PATIENCE_S", 600.0)
+    monkeypatch.setattr(measuring_step, "PATIENCE_S", 600.0)
     show_source(qtbot, window, FakeSource(8, name="short", ends_at=5), 0)
     opened = open_capture(qtbot, window)
     opened.wanted = 15
     QTest.mouseClick(opened.start, LEFT)
     qtbot.waitUntil(lambda: "5 frames" in opened.progress.text())
-    monkeypatch.setattr(gather, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(measuring_step, "PATIENCE_S", 0.0)
     qtbot.waitUntil(lambda: not opened.busy)
     assert window.document.preset.untouched.frames == 5
     assert "no more" in opened.sentence.text()
@@ -99,7 +99,7 @@ def test_capturing_is_cancelled_and_ends_with_its_source(qtbot, window):
     opened.start.click()
     show_source(qtbot, window, FakeSource(name="other"))  # ends capturing, too
     qtbot.waitUntil(lambda: not opened.busy and cameras.closed)
-    assert opened.sentence.text() == gather.OTHER_SOURCE
+    assert opened.sentence.text() == measuring_step.OTHER_SOURCE
 
 
 def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, monkeypatch):
@@ -193,7 +193,7 @@ def test_one_measurement_at_a_time_and_none_of_another_source(open_checks, rig, 
     noise.start.click()
     other.start.click()
     assert noise.busy and not other.busy
-    assert other.sentence.text() == gather.OTHER_TASK
+    assert other.sentence.text() == measuring_step.OTHER_TASK
     show_source(qtbot, main, FakeSource(60, rig, make=stairs, name="other"))
     wait(qtbot, lambda: not noise.busy)
-    assert noise.sentence.text() == gather.OTHER_SOURCE
+    assert noise.sentence.text() == measuring_step.OTHER_SOURCE

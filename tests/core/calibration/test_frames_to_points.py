@@ -19,7 +19,7 @@ from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactune.core.calibration.detect import detect_chessboard, snap_to_feature
-from tactune.core.calibration.folder_rig import check_lens, fit_lens
+from tactune.core.calibration.rig_from_folder import check_lens, fit_lens
 from tactune.core.errors import CalibrationError
 from tactune.core.model.intrinsics import Distortion, Intrinsics
 

@@ -9,7 +9,7 @@ from reference_patches import same_patch
 from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.masking import in_hsv_range
-from tactune.core.contact.membrane.bias import rig_bias
+from tactune.core.contact.membrane.frame_bias import rig_bias
 from tactune.core.contact.membrane.steps import classify, differences_at
 from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline

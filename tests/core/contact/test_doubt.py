@@ -15,7 +15,7 @@ from tactune.core.rig.noise import measure_noise
 from tactune.core.rig.untouched import average_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 from tactune.core.tuning.advice.findings import Examiner
 
 CELLS = (60, 36)

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import compiling
-from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import tile_grid
 from tactune.core.contact.kernels.colors import hsv_limits, lanes_in_range
 from tactune.core.contact.kernels.compiling import kernel
 from tactune.core.contact.kernels.simd import LANES, bits, load_colors
+from tactune.core.contact.kernels.tolerance import TILE_ROWS
 from tactune.core.contact.masking import in_hsv_range
 from tactune.core.contact.pixels import Pixels, Workspace, depth_images
 from tactune.core.model.patch import Provenance
@@ -211,7 +211,7 @@ from dataclasses import replace
 from tactune.core.contact.kernels.compiling import compiled_so_far
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 source = SimulatorSource("cup", seed=3, variant=Variant(press="medium"), cells=(60, 36))
 frames = [source.read(index) for index in range(2)]
 frames.append(replace(frames[0], proximity_color=frames[0].proximity_color // 2))  # in half of the light

@@ -22,7 +22,7 @@ from tactune.core.sources.folder import export_folder
 from tactune.core.sources.simulator.objects import OBJECTS
 from tactune.core.sources.simulator.scene import simulator_rig
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 PRESSURE = Preset(contact_test="pressure")
 

@@ -15,7 +15,7 @@ from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scene import simulator_rig
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 RIG = simulator_rig()
 PRESET = load_preset("simulator")

@@ -13,7 +13,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.estimation.tilt import TiltEstimator
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 PRESET = load_preset("simulator")
 CENTRE = 325.0, 238.0

@@ -123,7 +123,7 @@ def bulged(small_rig):
 @pytest.fixture(scope="session")
 def cup_frames():
     """The rig, the untouched membrane, and a cup pressed 24 mm deep."""
-    from tactune.core.sources.simulator.source import SimulatorSource
+    from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
     source = SimulatorSource(scene="cup", sensor="datasheet")
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])

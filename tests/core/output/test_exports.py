@@ -25,7 +25,7 @@ from tactune.core.output.calibration_files import export_calibration
 from tactune.core.output.cloud_files import SUFFIXES, patch_columns, write_cloud
 from tactune.core.output.hdf5 import export_hdf5
 from tactune.core.preset import Preset
-from tactune.core.sources.lens import choose_lens, pose_between, read_lenses
+from tactune.core.sources.lens_files import choose_lens, pose_between, read_lenses
 
 TACTILE, COLOR = "tactile_depth_optical_frame", "proximity_color_optical_frame"
 

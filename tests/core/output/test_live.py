@@ -20,7 +20,7 @@ from tactune.core.errors import PublishError
 from tactune.core.output.foxglove import FoxgloveSink
 from tactune.core.output.messages import NUMBER
 from tactune.core.output.publisher import LiveMessage, Publisher
-from tactune.core.output.ros2 import DdsSink
+from tactune.core.output.ros2 import Ros2Sink
 
 PERIOD_S = 1 / 30
 
@@ -55,7 +55,7 @@ def test_fast_dds_receives_every_bit(processed, fast_dds_program, domain):
     frame, patch, _ = processed
     topics = {"/contact/patch": "reliable", "/contact/area_mm2": "best_effort", "/tactile/depth/image": "reliable"}
     with (
-        published(processed, DdsSink(domain, "left_finger")),
+        published(processed, Ros2Sink(domain, "left_finger")),
         FastDds(fast_dds_program, domain, topics, "/left_finger") as subscriber,
         FastDds(fast_dds_program, domain, {"/tf": "reliable", "/tf_static": "transient_local"}) as transforms,
     ):
@@ -76,7 +76,7 @@ def test_a_subscriber_that_hangs_delays_neither_another_nor_the_end(processed, f
     with (
         FastDds(fast_dds_program, domain, {cloud: "reliable"}) as quick,
         FastDds(fast_dds_program, domain, {cloud: "reliable"}) as slow,
-        published(processed, DdsSink(domain)) as publisher,
+        published(processed, Ros2Sink(domain)) as publisher,
     ):
         for each in (quick, slow):
             each.wait_for(lambda each=each: each.counts[cloud])
@@ -103,7 +103,7 @@ def udp_sockets():
 
 def test_nothing_listens_or_leaves_unless_asked(processed, domain):
     before = udp_sockets()
-    sink = DdsSink(domain)
+    sink = Ros2Sink(domain)
     assert udp_sockets() == before
     with published(processed, sink):
         opened = {number: place for number, place in udp_sockets().items() if number not in before}
@@ -123,11 +123,11 @@ def test_nothing_listens_or_leaves_unless_asked(processed, domain):
 )
 def test_what_ros_does_not_allow_is_refused(options, sentence):
     with pytest.raises(PublishError, match=sentence):
-        DdsSink(**options)
+        Ros2Sink(**options)
 
 
 def test_an_address_that_this_computer_does_not_have_is_named(domain):
-    sink = DdsSink(domain, host="192.0.2.77")
+    sink = Ros2Sink(domain, host="192.0.2.77")
     with pytest.raises(PublishError, match=r"no network interface with the address 192\.0\.2\.77"):
         sink.start()
 

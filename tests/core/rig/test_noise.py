@@ -20,7 +20,7 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.noise import STEREO_BASELINE_M, TOF_DISTANCE_SHARE
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 __all__ = ["rig"]
 

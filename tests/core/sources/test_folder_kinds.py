@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.core.calibration.folder_rig import describe_folder
+from tactune.core.calibration.rig_from_folder import rig_from_folder
 from tactune.core.errors import TactuneError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.sources.folder import FolderSource, write_rig
@@ -31,7 +31,7 @@ def save(path, image):
 
 def make_rig(folder, unit="mm", **options):
     given = dict.fromkeys(("proximity", "tactile", "color")) | options
-    found = describe_folder(folder, given, unit)
+    found = rig_from_folder(folder, given, unit)
     write_rig(folder, found.rig, found.forms)
     return found
 
@@ -271,9 +271,9 @@ def test_a_unit_is_given_or_refused_or_told(plain, case):
     options = {"proximity": proximity, "tactile": tactile, "color": None}
     if isinstance(expected, str):
         with pytest.raises(TactuneError, match=expected):
-            describe_folder(plain, options, unit)
+            rig_from_folder(plain, options, unit)
         return
-    found = describe_folder(plain, options, unit)
+    found = rig_from_folder(plain, options, unit)
     assert (found.rig.proximity.depth_unit_m, found.rig.tactile.depth_unit_m) == pytest.approx(expected)
     told = " ".join(each for each in found.warnings if "unit" in each)
     if warning is None:
@@ -383,14 +383,14 @@ def test_a_lens_file_of_another_program_is_read_and_the_folder_plays(plain, name
 def test_a_camchain_of_both_cameras_gives_their_pose(plain):
     path = plain.parent / "camchain.yaml"
     path.write_text(KALIBR.format("radtan"))
-    found = describe_folder(plain, {"proximity": f"{path}:cam0", "tactile": f"{path}:cam1", "color": None}, "mm")
+    found = rig_from_folder(plain, {"proximity": f"{path}:cam0", "tactile": f"{path}:cam1", "color": None}, "mm")
     pose = np.array(found.rig.T_proximity_tactile)
     np.testing.assert_allclose(pose[:3, 3], [0.05, 0, -0.02])  # cam0's frame, of a point at cam1's origin
-    swapped = describe_folder(plain, {"proximity": f"{path}:cam1", "tactile": f"{path}:cam0", "color": None}, "mm")
+    swapped = rig_from_folder(plain, {"proximity": f"{path}:cam1", "tactile": f"{path}:cam0", "color": None}, "mm")
     np.testing.assert_allclose(np.array(swapped.rig.T_proximity_tactile)[:3, 3], [-0.05, 0, 0.02])
     for option in (str(path), f"{path}:cam7"):
         with pytest.raises(TactuneError, match="cam0, cam1"):
-            describe_folder(plain, {"proximity": option, "tactile": LENS, "color": None}, "mm")
+            rig_from_folder(plain, {"proximity": option, "tactile": LENS, "color": None}, "mm")
 
 
 BAD_LENSES = {
@@ -417,5 +417,5 @@ def test_a_lens_that_cannot_be_used_is_refused_by_name(plain, name):
     path.write_text(text)
     choice = ":cam0" if "cam0" in text else ""
     with pytest.raises(TactuneError, match=sentence) as caught:
-        describe_folder(plain, {"proximity": f"D435={path}{choice}", "tactile": LENS, "color": None}, "mm")
+        rig_from_folder(plain, {"proximity": f"D435={path}{choice}", "tactile": LENS, "color": None}, "mm")
     assert "\n" not in str(caught.value)

@@ -9,8 +9,8 @@ import orbbec_bag
 from tactune.core.errors import SourceError
 from tactune.core.preset import CamerasSection
 from tactune.core.sources.cameras import orbbec
+from tactune.core.sources.cameras.camera_source import CameraSource
 from tactune.core.sources.cameras.orbbec import OrbbecDriver
-from tactune.core.sources.cameras.source import CameraSource
 
 pytest.importorskip("pyorbbecsdk", reason="the Orbbec SDK is not installed", exc_type=ImportError)
 sdk = orbbec.load_sdk()

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import ExportError, SourceError
-from tactune.core.sources.simulator import source
+from tactune.core.sources.simulator import simulator_source
 from tactune.core.sources.simulator.noise import NoiseModel
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M
 from tactune.core.sources.simulator.scene import APEX_M, RIM_M, CleanState, simulator_rig
 from tactune.core.sources.simulator.scenes import MEMBRANES, STANDARD, Variant, read_name, write_name
 from tactune.core.sources.simulator.sensors import SENSORS
-from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, cache_file, load_scene
+from tactune.core.sources.simulator.simulator_source import SHIPPED, SimulatorSource, cache_file, load_scene
 
 REST, DEEP = 0, 45
 
@@ -70,7 +70,7 @@ def clean_states(simulator):
 
 
 def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(tmp_path, monkeypatch):
-    monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path / name))
+    monkeypatch.setattr(simulator_source, "user_cache_dir", lambda name: str(tmp_path / name))
     solved, solve = [], SimulatorSource.solve_anew
 
     def counted(*given):
@@ -90,7 +90,7 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
     assert len(solved) == 1
     (kept,) = (tmp_path / "tactune" / "simulator").iterdir()
     kept.write_bytes(kept.read_bytes()[:1000])
-    monkeypatch.setattr(source, "save_scene", refuse)
+    monkeypatch.setattr(simulator_source, "save_scene", refuse)
     damaged = open_again()
     assert len(solved) == 2
     for other in (again, damaged):
@@ -101,7 +101,7 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
 def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):
     """If it does not: run scripts/ship_scene.py."""
     simulator = SimulatorSource()
-    monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path))
+    monkeypatch.setattr(simulator_source, "user_cache_dir", lambda name: str(tmp_path))
     assert len(clean_states(simulator)) == len(simulator.scene.drawn)
 
 

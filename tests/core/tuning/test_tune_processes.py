@@ -67,7 +67,7 @@ def test_a_trial_that_was_measured_but_not_ended_when_its_search_was_killed_coun
     lost = {ends[number] for number in [line for line in lines_of(out) if "front" in line][-1]["front"]}
     long_search.file.write_text("".join(line for line in lines if line not in lost))
     assert front_of(tune(*words).out) == front_of(out)
-    assert long_search.file.read_text().count('"op_code":4') == POINTS, "a trial was begun anew"
+    assert long_search.file.read_text().count('"op_code":4') == POINTS, "a point was measured again"
 
 
 @pytest.mark.skipif(available_threads() < 2, reason="one process measures all")

@@ -9,8 +9,8 @@ from scipy.optimize import lsq_linear
 
 from rigs import one_place_rig
 from tactune.core.contact.kernels import equilibrium as kernels
-from tactune.core.contact.membrane.bias import FrameBias
 from tactune.core.contact.membrane.equilibrium import Cells, measured_curvature_per_m, over_window, settle
+from tactune.core.contact.membrane.frame_bias import FrameBias
 from tactune.core.contact.membrane.section import MembraneSection
 from tactune.core.contact.membrane.steps import boundary_of, with_missed_parts
 from tactune.core.contact.pipeline import ContactPipeline

@@ -10,10 +10,10 @@ import pytest
 
 from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.kernels.chain import Region
 from tactune.core.contact.kernels.threads import set_threads
+from tactune.core.contact.kernels.tolerance import Region
 from tactune.core.contact.masking import in_hsv_range
-from tactune.core.contact.membrane.bias import FIRM_M2
+from tactune.core.contact.membrane.frame_bias import FIRM_M2
 from tactune.core.contact.membrane.section import LARGEST_BIAS_M
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import colors_at
@@ -26,7 +26,7 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 CELLS = (60, 36)
 SIMULATOR = load_preset("simulator").with_value("alignment.model", "rigid")

@@ -17,7 +17,7 @@ sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import capture_pid, open_troubled
-from tactune.core.sources.capture.source import ProcessSource
+from tactune.core.sources.capture.process_source import ProcessSource
 source = ProcessSource(partial(open_troubled, Path("/nonexistent")))
 source.next_frame()
 print(capture_pid(), flush=True)

@@ -28,7 +28,7 @@ from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.preset import Preset
 from tactune.core.sources.capture.child import create_memory, read_frame, write_frame
-from tactune.core.sources.capture.source import ProcessSource
+from tactune.core.sources.capture.process_source import ProcessSource
 from tactune.core.sources.registry import open_source
 from tactune.widgets.basics.messages import Message
 

@@ -14,8 +14,8 @@ from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import CameraSection, CamerasSection
 from tactune.core.sources.cameras.camera import Calibration
+from tactune.core.sources.cameras.camera_source import CameraSource
 from tactune.core.sources.cameras.realsense import RealSenseDriver
-from tactune.core.sources.cameras.source import CameraSource
 
 IMAGES = 90
 
@@ -149,7 +149,7 @@ def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):
 
 def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(session, monkeypatch):
     released = threading.Event()
-    monkeypatch.setattr("tactune.core.sources.cameras.source.HUNG_S", 0.5)
+    monkeypatch.setattr("tactune.core.sources.cameras.camera_source.HUNG_S", 0.5)
     monkeypatch.setattr(
         "tactune.core.sources.cameras.realsense.RealSenseCamera.read", lambda *_: released.wait() and None
     )

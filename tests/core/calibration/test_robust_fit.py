@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulated_clicks import ClickNoise, alignment_covariance, cramer_rao, expected_length, judged_places, make_clicks
-from tactune.core.calibration.fits import fit_homography, fit_rigid
 from tactune.core.calibration.geometry import mapped
+from tactune.core.calibration.robust_fit import fit_homography, fit_rigid
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import ColorCamera
 from tactune.core.model.intrinsics import Distortion
@@ -65,7 +65,7 @@ def test_the_answer_is_right_or_refused(plane, rig, seed, count):
         fit = fit_homography(plane.points(tactile, proximity), rig)
     except CalibrationError:
         return
-    assert np.abs(mapped(fit.alignment.homography, tactile) - proximity)[fit.used].max() < 1e-4
+    assert np.abs(mapped(fit.alignment.homography, tactile) - proximity)[fit.inliers].max() < 1e-4
 
 
 # Rigid
@@ -126,8 +126,8 @@ def test_30_percent_wrong_pairs_are_found(wrong_clicks, count):
     for seed in range(4):
         right, fitted = wrong_clicks(seed, count, 0.3)
         fit = fitted()
-        assert not (fit.used & ~right).any()
-        assert fit.used.sum() >= 0.65 * count
+        assert not (fit.inliers & ~right).any()
+        assert fit.inliers.sum() >= 0.65 * count
 
 
 @pytest.mark.parametrize("wrong", [0.6, 1.0])
@@ -135,7 +135,7 @@ def test_30_percent_wrong_pairs_are_found(wrong_clicks, count):
 def test_mostly_wrong_pairs_are_never_silently_used(wrong_clicks, count, wrong):
     right, fitted = wrong_clicks(0, count, wrong)
     try:
-        used = fitted().used
+        used = fitted().inliers
     except CalibrationError:
         return
     assert not (used & ~right).any()

@@ -44,6 +44,11 @@ _PINHOLE = (
 )
 _FISHEYE = ("equidistant", "fisheye", "equi", "kannala_brandt", "kannala_brandt4", "opencv_fisheye", "theta")
 _NO_DISTORTION = ("", "none", "no", "null", "perfect", "rectified", "ideal")
+#: Files beside images that state their lens, the first that exists.
+_LENS_FILES: Final = (
+    *("scene_camera.json", "camera_info.y*ml", "camera.json", "*intrinsic*.json", "K.txt", "*intrinsic*.txt"),
+    *("*intrinsic*.y*ml", "*camchain*.y*ml", "*calib*.y*ml", "*calib*.json", "*calib*.xml", "ost.yaml"),
+)
 #: OpenCV's numbers of coefficients of a pinhole lens.
 _COUNTS = (4, 5, 8, 12, 14)
 
@@ -180,6 +185,12 @@ class StatedLens:
             return make_lens(self.model, self.coefficients, self.matrix, size)
         except SourceError as error:
             raise SourceError(f"{self.path}: {error}") from error
+
+
+def find_lens_files(folder: Path, role: str, image: Path) -> list[Path]:
+    """Return the files of the best name in the nearest folder around an image of a camera, up to ``folder``."""
+    places = [folder / role, *(folder / inside for inside in image.relative_to(folder).parents)]
+    return next((found for place in places for name in _LENS_FILES if (found := sorted(place.glob(name)))), [])
 
 
 def read_lenses(path: Path) -> list[StatedLens]:

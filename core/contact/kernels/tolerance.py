@@ -1,4 +1,4 @@
-"""The per-pixel chain, compiled: sixteen pixels at once, in float32 with one fixed order of operations.
+"""The tolerance test of each pixel, compiled: sixteen pixels at once, in float32 with one fixed order of operations.
 
 `tactune.core.lab.reference` repeats that order in NumPy, so both give the same bits on every input. Nothing
 here uses fast-math, and threads split the work by rows only.
@@ -244,14 +244,14 @@ def both_depths(place: Any, depth: Any, valid: Any, tactile: Any, alignment: Any
 
 
 @inline
-def agree(dp: Any, dt: Any, tolerance: Any) -> Any:
+def within_tolerance(dp: Any, dt: Any, tolerance: Any) -> Any:
     """Return in which lanes both depths pass the tolerance test, |dp - dt| <= t |dp|; `accepted_range` bounds it."""
     return absolute(dp - dt) <= floats(tolerance) * absolute(dp)
 
 
 @inline
 def accepted_range(low: Any, high: Any, tolerance: Any, margin: Any) -> Any:
-    """Return the range of measured depths that `agree` with an expected one from low to high, widened by a margin."""
+    """Return the range of measured depths `within_tolerance` of an expected one from low to high, and a margin."""
     share = floats(tolerance)
     slack = floats(SLACK) * greater(absolute(low), absolute(high)) + floats(margin)
     lowest = lesser(low - share * absolute(low), high - share * absolute(high)) - slack
@@ -365,7 +365,7 @@ def find_candidates(images: Any, test: Any, color: Any, tiles: Any, out: Any, fi
             if bits(valid) == 0:
                 continue
             dp, _, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
-            passes = has_dt & agree(dp, dt, limits.tolerance)
+            passes = has_dt & within_tolerance(dp, dt, limits.tolerance)
             if bits(passes) == 0:
                 continue
             x = load(rays, place) * depth

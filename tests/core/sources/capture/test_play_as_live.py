@@ -5,9 +5,9 @@ import pytest
 
 from capture_sources import Troubled, make_frame, make_rig, recorded
 from tactune.core.errors import SourceError
-from tactune.core.sources.capture import live
+from tactune.core.sources import play_as_live
 from tactune.core.sources.capture.child import create_memory, read_frame, write_frame
-from tactune.core.sources.capture.live import LiveLoop
+from tactune.core.sources.play_as_live import PlayAsLive
 from tactune.core.sources.registry import open_source
 
 RIG = make_rig()
@@ -33,7 +33,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     made = Clock()
-    monkeypatch.setattr(live, "time", made)
+    monkeypatch.setattr(play_as_live, "time", made)
     return made
 
 
@@ -42,7 +42,7 @@ def recording(count, rate_hz=30.0):
 
 
 def test_it_loops_in_time_and_without_drift(clock):
-    source = LiveLoop(recording(7, 50.0))
+    source = PlayAsLive(recording(7, 50.0))
     shown = []
     for _ in range(100):
         assert source.wait(1.0)
@@ -63,7 +63,7 @@ def test_it_loops_in_time_and_without_drift(clock):
 
 
 def test_frames_whose_time_has_passed_are_left_out(clock):
-    source = LiveLoop(recording(5, 10.0))
+    source = PlayAsLive(recording(5, 10.0))
     assert source.next_frame().sequence == 0
     clock.sleep(0.75)
     assert source.next_frame().sequence == 7
@@ -74,9 +74,9 @@ def test_frames_whose_time_has_passed_are_left_out(clock):
 
 def test_what_is_live_already_or_empty_is_refused(tmp_path):
     with pytest.raises(SourceError, match="live:troubled: troubled is live already; leave out live:"):
-        LiveLoop(Troubled(tmp_path, RIG))
+        PlayAsLive(Troubled(tmp_path, RIG))
     with pytest.raises(SourceError, match="there are no frames to play"):
-        LiveLoop(recording(0))
+        PlayAsLive(recording(0))
 
 
 def test_a_folder_plays_live_by_name(nothing_left, tmp_path):

@@ -10,7 +10,7 @@ from pathlib import Path
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QGridLayout, QLineEdit, QPushButton, QWidget
 
-from ...core.calibration.folder_rig import FolderRig, describe_folder
+from ...core.calibration.rig_from_folder import FolderRig, rig_from_folder
 from ...core.errors import TactuneError, as_sentence
 from ...core.sources.folder import write_rig
 from ...widgets.basics.controls import NoteLabel, caption, dialog_buttons, named, push_button, wrapped_label
@@ -97,7 +97,7 @@ class FolderRigDialog(QDialog):
         options = {role: field.text().strip() or None for role, field in self.lenses.items()}
         unit = self.unit.currentText().strip() or None
         self._asked = options, unit
-        self._job.start(lambda progress: ((options, unit), describe_folder(self._folder, options, unit)))
+        self._job.start(lambda progress: ((options, unit), rig_from_folder(self._folder, options, unit)))
 
     def _show(self, answer: tuple[tuple[dict[str, str | None], str | None], FolderRig]) -> None:
         asked, found = answer

@@ -22,18 +22,13 @@ from ..model.loading import decode_image, read_file
 from ..model.rig_file import validation_sentence
 from ..sources.folder import read_image, read_values
 from ..sources.folder_layout import Layout, find_frames
-from ..sources.lens import Lens, StatedLens, choose_lens, make_lens, pose_between, read_lenses
+from ..sources.lens_files import Lens, StatedLens, choose_lens, find_lens_files, make_lens, pose_between, read_lenses
 from ..sources.ros_image import FLOAT_UNIT_M
 from .detect import detect_chessboard
 
 #: Where half of the depths of a rig's cameras should lie, metres; makers' models see nothing nearer than they state.
 _PLAUSIBLE_M: Final = (0.06, 5.0)
 _UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
-#: Files beside the images that state their lens, the first that exists.
-_LENS_FILES: Final = (
-    *("scene_camera.json", "camera_info.y*ml", "camera.json", "*intrinsic*.json", "K.txt", "*intrinsic*.txt"),
-    *("*intrinsic*.y*ml", "*camchain*.y*ml", "*calib*.y*ml", "*calib*.json", "*calib*.xml", "ost.yaml"),
-)
 #: Files that count as pictures.
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp")
 
@@ -102,7 +97,7 @@ class _Camera:
     unit_m: float | None = None
 
 
-def describe_folder(
+def rig_from_folder(
     folder: Path,
     options: dict[str, str | None],
     unit: str | None = None,
@@ -187,7 +182,7 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
     """Return the model and the lens that an option says, or files beside the images."""
     said = draft.said(role)
     if option is None:
-        found = [] if role == "color" else _beside(draft, role)
+        found = [] if role == "color" else find_lens_files(draft.folder, role, draft.first(f"{role}_depth"))
         if len(found) != 1:
             several = f": {' and '.join(path.name for path in found[:2])} may state it" if found else ""
             raise CalibrationError(
@@ -213,13 +208,6 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
         )
         return _Camera(model, Lens(fit.intrinsics), {})
     return _of_file(draft, said, model, how, size)
-
-
-def _beside(draft: _Draft, role: str) -> list[Path]:
-    """Return the files of the best name in the nearest folder that holds the images of a camera."""
-    inside = draft.first(f"{role}_depth").relative_to(draft.folder).parents
-    places = [draft.folder / role, *(draft.folder / folder for folder in inside)]
-    return next((found for place in places for name in _LENS_FILES if (found := sorted(place.glob(name)))), [])
 
 
 def _of_file(draft: _Draft, role: str, model: str, how: str, size: tuple[int, int]) -> _Camera:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from ...errors import SourceError
-from ...model.frames import Rig, SensorFrame
-from ..base import FrameSource, Health
+from ..errors import SourceError
+from ..model.frames import Rig, SensorFrame
+from .base import FrameSource, Health
 
 
-class LiveLoop(FrameSource):
+class PlayAsLive(FrameSource):
     """A recording without a length: each frame comes when it is due, and is stamped with that time.
 
     The n-th frame is due n periods after the first, by the clock, so nothing drifts. A frame that

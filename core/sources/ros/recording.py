@@ -19,7 +19,7 @@ from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ..base import CameraRole, Progress
 from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
-from ..lens import Lens, camera_info_lens, lens_of_file
+from ..lens_files import Lens, camera_info_lens, lens_of_file
 from ..recorded import RecordedCamera, RecordedSource
 from ..ros_image import COLORS, FLOAT_UNIT_M, RawImage, damage_told
 from .bags import open_bag

@@ -30,7 +30,7 @@ OTHER_SOURCE: Final = "Another source was opened meanwhile: start again."
 OTHER_TASK: Final = "Another window takes frames at present: cancel that first, or wait."
 
 
-class Gather(QWidget):
+class MeasuringStep(QWidget):
     """Base of panels that take frames, of a recording too, work on them, and change the preset as one undo step."""
 
     #: Number of different frames that are wanted, and the fewest that are enough.

@@ -1,4 +1,4 @@
-"""Fits of both alignment models to point pairs: outliers by OpenCV and evidence, inliers by least squares.
+"""Robust fits of both alignment models to point pairs: wrong clicks are found by evidence, inliers by least squares.
 
 OpenCV proposes models (RANSAC with SQPnP for a pose, MAGSAC for a homography) at several thresholds. Under each model
 the k nearest pairs are inliers with the k of the largest evidence: the noise is near the stated one with an inverse
@@ -187,11 +187,11 @@ class RigidModel(Model):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model: inliers ``used`` (N,), ``whitening`` (N, 2, 2) to unit noise, ``cost`` of whitened inliers."""
+    """A fitted model: inliers ``inliers`` (N,), ``whitening`` (N, 2, 2) to unit noise, ``cost`` of whitened inliers."""
 
     model: Model
     theta: Float64Array
-    used: BoolArray
+    inliers: BoolArray
     whitening: Float64Array
     cost: float
     degrees: int
@@ -201,7 +201,7 @@ class Fit:
         """Observed noise relative to the stated one, which counts beside it since few pairs say little."""
         if self.degrees <= 0:
             return 1.0
-        stated = 0.0 if self.used.all() else _STATED_DEGREES
+        stated = 0.0 if self.inliers.all() else _STATED_DEGREES
         return float(np.sqrt((stated + self.cost) / (stated + self.degrees)))
 
     @cached_property
@@ -216,7 +216,7 @@ class Fit:
     @property
     def rms_px(self) -> float:
         """Root mean square residual of the inliers, proximity pixels."""
-        return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
+        return float(np.sqrt((self.residuals_px[self.inliers] ** 2).sum(axis=1).mean()))
 
     @cached_property
     def design(self) -> Float64Array:
@@ -227,7 +227,7 @@ class Fit:
     @cached_property
     def _scaled(self) -> tuple[Float64Array, Float64Array]:
         """The design of the inliers and the prior with columns of unit length (van der Sluis 1969), and the factors."""
-        rows = [self.design[self.used].reshape(-1, len(self.theta)), derivative(self.model.prior, self.theta)]
+        rows = [self.design[self.inliers].reshape(-1, len(self.theta)), derivative(self.model.prior, self.theta)]
         scale = 1.0 / np.maximum(np.linalg.norm(np.concatenate(rows), axis=0), 1e-150)
         return np.concatenate(rows) * scale, scale
 
@@ -274,10 +274,10 @@ def derivative(function: Callable[[Float64Array], Float64Array], theta: Float64A
     return np.stack(moves, axis=-1) / (2 * _THETA_STEP)
 
 
-def fit_homography(points: PointArrays, rig: Rig, *, use: BoolArray | None = None, names: Sequence[str] = ()) -> Fit:
-    """Fit the homography from tactile to proximity depth pixels; ``use`` are the inliers, if already known."""
+def fit_homography(points: PointArrays, rig: Rig, *, known: BoolArray | None = None, names: Sequence[str] = ()) -> Fit:
+    """Fit the homography from tactile to proximity depth pixels; ``known`` are the inliers, if they are known."""
     check_points(points, HomographyModel.sample, "homography", tactile=points.tactile, proximity=points.proximity)
-    fit = _fit_robustly(HomographyModel(points, rig, names, CLICK_SIGMA_PX), use)
+    fit = _fit_robustly(HomographyModel(points, rig, names, CLICK_SIGMA_PX), known)
     if np.linalg.det(np.asarray(fit.alignment.homography)) < 0:
         raise CalibrationError(
             "the points run around in opposite senses in both images: one image is mirrored, or partners are swapped; "
@@ -299,42 +299,42 @@ def fit_rigid(
     return _fit_robustly(RigidModel(points, rig, names, sigma_px, offset), None)
 
 
-def _fit_robustly(model: Model, use: BoolArray | None) -> Fit:
-    """Fit a model to the inliers with the largest evidence, or to given ones."""
+def _fit_robustly(model: Model, known: BoolArray | None) -> Fit:
+    """Fit a model to the inliers with the largest evidence, or to known ones."""
     count = len(model.points)
     starts = model.proposals(np.sqrt(2) * model.sigma_px)
     if not starts:
         raise CalibrationError(
             f"the points determine no {model.name}: they lie on one line or on each other; spread them out"
         )
-    if use is None and count == model.sample:
-        use = np.ones(count, bool)
-    best: tuple[float, Float64Array, BoolArray] | None = None if use is None else (0.0, starts[0], use)
-    for start in starts if use is None else ():
+    if known is None and count == model.sample:
+        known = np.ones(count, bool)
+    best: tuple[float, Float64Array, BoolArray] | None = None if known is None else (0.0, starts[0], known)
+    for start in starts if known is None else ():
         theta = start
         for _ in range(_ROUNDS):
-            evidence, used = _likeliest(model, theta)
-            if not np.isfinite(evidence) or (best is not None and np.array_equal(used, best[2])):
+            evidence, inliers = _likeliest_inliers(model, theta)
+            if not np.isfinite(evidence) or (best is not None and np.array_equal(inliers, best[2])):
                 break
-            solved = _solve(model, theta, used)
+            solved = _solve(model, theta, inliers)
             if solved is None:
                 break
             theta = solved.theta
-            evidence, again = _likeliest(model, theta)
+            evidence, again = _likeliest_inliers(model, theta)
             evidence += _volume(solved)
             if np.isfinite(evidence) and (best is None or evidence > best[0]):
                 best = (evidence, theta, again)
     if best is None:
         raise _no_agreement(model)
-    evidence, theta, used = best
-    fit = _solve(model, theta, used)
+    evidence, theta, inliers = best
+    fit = _solve(model, theta, inliers)
     if fit is None or fit.condition > _MAX_CONDITION:
         raise CalibrationError(
             f"the points determine no {model.name}: they lie almost on one line or on each other; spread them out"
         )
-    surplus = int(used.sum()) - model.sample
+    surplus = int(inliers.sum()) - model.sample
     against_chance = evidence + surplus * np.log(model.area / (np.pi * _WRONG_PX**2))
-    if use is None and (against_chance < _SIGNIFICANT * min(surplus, _SURPLUS) or used.mean() < MIN_INLIER_SHARE):
+    if known is None and (against_chance < _SIGNIFICANT * min(surplus, _SURPLUS) or inliers.mean() < MIN_INLIER_SHARE):
         raise _no_agreement(model, fit)
     return fit
 
@@ -344,12 +344,12 @@ def _volume(fit: Fit) -> float:
     with np.errstate(all="ignore"):
         of_pairs = np.einsum("nmp,nmq->npq", fit.design, fit.design)
         share = fit.model.sample / len(of_pairs)
-        information = np.stack([share * of_pairs.sum(axis=0), of_pairs[fit.used].sum(axis=0)])
+        information = np.stack([share * of_pairs.sum(axis=0), of_pairs[fit.inliers].sum(axis=0)])
         signs, (before, after) = np.linalg.slogdet(information)
         return float(before - after) / 2 if (signs > 0).all() else -np.inf
 
 
-def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
+def _likeliest_inliers(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
     """Return the largest log evidence of the k nearest pairs being right, not all wrong, and which they are."""
     from scipy.special import gammaln  # slow to import
 
@@ -367,13 +367,13 @@ def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
     evidence = (k - size) * np.log(_WRONG_PX**2 / (2 * noise_px**2)) + student - choices
     evidence[~((nearest[size:] <= model.largest_px) & np.isfinite(evidence))] = -np.inf
     best = int(evidence.argmax())
-    used = np.zeros(count, bool)
-    used[order[: k[best]]] = True
-    return float(evidence[best]), used
+    inliers = np.zeros(count, bool)
+    inliers[order[: k[best]]] = True
+    return float(evidence[best]), inliers
 
 
-def _solve(model: Model, start: Float64Array, used: BoolArray) -> Fit | None:
-    """Fit the used pairs by least squares from an initial theta; None if they determine nothing."""
+def _solve(model: Model, start: Float64Array, inliers: BoolArray) -> Fit | None:
+    """Fit the inliers by least squares from an initial theta; None if they determine nothing."""
     from scipy.optimize import least_squares  # slow to import
 
     with np.errstate(all="ignore"):
@@ -381,24 +381,24 @@ def _solve(model: Model, start: Float64Array, used: BoolArray) -> Fit | None:
             whitening = np.linalg.inv(np.linalg.cholesky(model.covariances(start)))
 
             def residuals(theta: Float64Array) -> Float64Array:
-                off = model.residuals_px(theta)[used]
-                return np.append((whitening[used] @ off[:, :, None]).ravel(), model.prior(theta))
+                off = model.residuals_px(theta)[inliers]
+                return np.append((whitening[inliers] @ off[:, :, None]).ravel(), model.prior(theta))
 
             found = least_squares(residuals, start, jac="3-point", method="lm", x_scale="jac", max_nfev=2000)
         except (ValueError, np.linalg.LinAlgError):  # not finite, or fewer measurements than parameters
             return None
-    return Fit(model, found.x, used, whitening, float(2 * found.cost), 2 * int(used.sum()) - len(start))
+    return Fit(model, found.x, inliers, whitening, float(2 * found.cost), 2 * int(inliers.sum()) - len(start))
 
 
 def _no_agreement(model: Model, fit: Fit | None = None) -> CalibrationError:
     count = len(model.points)
     found = f"the {count} pairs agree on no {model.name}: none explains them better than chance"
-    if fit is not None and not fit.used.all():
-        wrong = listed([name for name, used in zip(model.names, fit.used, strict=True) if not used])
-        far = np.hypot(*fit.residuals_px[~fit.used].T).max()
+    if fit is not None and not fit.inliers.all():
+        wrong = listed([name for name, is_inlier in zip(model.names, fit.inliers, strict=True) if not is_inlier])
+        far = np.hypot(*fit.residuals_px[~fit.inliers].T).max()
         found = (
-            f"only {int(fit.used.sum())} of the {count} pairs agree on one {model.name}, and {wrong} "
-            f"contradict{'s' if count - fit.used.sum() == 1 else ''} them by up to {min(far, 1e6):.0f} px"
+            f"only {int(fit.inliers.sum())} of the {count} pairs agree on one {model.name}, and {wrong} "
+            f"contradict{'s' if count - fit.inliers.sum() == 1 else ''} them by up to {min(far, 1e6):.0f} px"
         )
     return CalibrationError(
         f"{found}; check that both images show the same moment and that left and right points are the same places, "
