@@ -8,6 +8,8 @@ from ...model.sections import Section, described
 
 #: Mean gaps below this count as near the object, metres.
 NEAR_GAP_M: Final = 0.0015
+#: Gap at the edge of contact that noise asks for, metres; beyond it the membrane hovers.
+USUAL_GAP_M: Final = 0.00005
 #: The largest bias between the cameras that the test finds by itself, metres.
 LARGEST_BIAS_M: Final = 0.025
 
@@ -25,7 +27,7 @@ class MembraneSection(Section):
             step=0.00001,
             limits=(0.0, 0.005),
         ),
-    ] = 0.00005
+    ] = USUAL_GAP_M
     trust_m: Annotated[
         float,
         described(

@@ -37,7 +37,7 @@ from .equilibrium import (
     usable_curvature_per_m,
 )
 from .frame_bias import COARSE_CELL_PX, SOME, FrameBias, RigBias, frame_bias, rig_bias
-from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
+from .section import LARGEST_BIAS_M, NEAR_GAP_M, USUAL_GAP_M, MembraneSection
 
 if TYPE_CHECKING:
     from ...preset import Preset
@@ -287,7 +287,8 @@ def facts(
 def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> Boundary:
     """Return what is known of the boundary of contact, by terms that fit the errors in ``tactune lab faults``.
 
-    An error of the bias moves it to where the gap is larger by as much; a hollow that hardly presses may be spanned.
+    An error of the bias moves it to where the gap is larger by as much; a hollow that hardly presses may be spanned. A
+    limit on the gap above the usual one moves it outwards.
     """
     import cv2
 
@@ -300,13 +301,15 @@ def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Mea
         return Boundary(math.nan, 0.0, 1.0)
     nearly = (solution.gap_m <= gap_m + measured.bias.sigma_m) & ~touching
     pressed = np.where(touching, cells.push_per_m - np.float32(_HARDLY * measured.free_per_m), np.float32(0))
+    hovering = touching & (solution.gap_m > USUAL_GAP_M)
     hollow = touching & (cv2.GaussianBlur(pressed, (0, 0), _HOLLOW_CELLS) < 0)
     uncertain_m2 = float(areas[nearly].sum() + 2 * areas[hollow].sum())
-    strip_m = uncertain_m2 / (count * math.sqrt(float(np.median(areas[border]))))
+    length_m = count * math.sqrt(float(np.median(areas[border])))
+    strip_m, hovering_m = uncertain_m2 / length_m, float(areas[hovering].sum()) / length_m
     unseen = int(np.count_nonzero(border & ~seen)) / count
     noise = float(np.std(solution.residual_m[touching & (cells.share > 0)])) / (_USUAL_RESIDUAL * known.pixel_sigma_m)
     error_m = math.hypot(_PER_STRIP * strip_m, _UNSEEN_ERROR_M * unseen, _BOUNDARY_FLOOR_M) * max(noise, 1.0) ** 1.5
-    return Boundary(error_m, unseen, noise)
+    return Boundary(error_m + hovering_m, unseen, noise)
 
 
 def classify(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Uint8Array:

@@ -14,6 +14,7 @@ from ...contact.doubt import LOST_PRINTS
 from ...contact.masking import masked_share
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m
 from ...contact.membrane.frame_bias import rig_bias
+from ...contact.membrane.section import USUAL_GAP_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus
@@ -44,8 +45,8 @@ _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
 #: An object in contact dents the membrane. Curvature of a slightly bulged membrane, 1/m, and the smallest dent that can
 #: be told from noise, metres.
 _BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
-#: The tolerance fits the noise between these multiples of what it asks for.
-_FIT: Final = (0.5, 3.0)
+#: The tolerance fits the noise between these multiples of what it asks for; the largest gap up to this multiple.
+_FIT, _FIT_GAP = (0.5, 3.0), 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +247,18 @@ def unfit_tolerance(it: Situation) -> Finding | None:
     return Finding("unfit_tolerance", "tolerance.t", sentence, proposal)
 
 
+def wide_gap(it: Situation) -> Finding | None:
+    """The membrane test's largest gap counts membrane that hovers as contact."""
+    present_m = it.preset.membrane.gap_m
+    if it.preset.contact_test != "membrane" or present_m <= _FIT_GAP * USUAL_GAP_M:
+        return None
+    sentence = f"The largest gap is {1e3 * present_m:g} mm: membrane that hovers up to there counts as contact."
+    words = f"Largest gap {1e3 * USUAL_GAP_M:g} mm"
+    expected = "The edge of contact is where the membrane leaves the object."
+    proposal = Proposal("membrane", {"membrane.gap_m": USUAL_GAP_M}, words, sentence, expected)
+    return Finding("wide_gap", "membrane.gap_m", sentence, proposal)
+
+
 def bulge(it: Situation) -> Finding | None:
     """The membrane test uses another curvature of the free membrane than the measured one."""
     facts = it.patch.membrane
@@ -299,7 +312,8 @@ def false_contact(it: Situation) -> Finding | None:
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
     lambda it: depth_missing(it.frame, it.rig),
-    covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, bulge, false_contact,
+    covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, wide_gap, bulge,
+    false_contact,
 )  # fmt: skip
 
 

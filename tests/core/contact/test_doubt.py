@@ -46,6 +46,18 @@ def test_a_touch_that_dents_the_membrane_is_sure_and_one_that_does_not_is_doubte
     assert still.reasons == ("no dent",)
 
 
+def test_a_wide_largest_gap_widens_the_error_is_found_and_mended(rig):
+    preset, untouched, touch, _ = rig
+    frame, wide = touch.read(0), preset.with_value("membrane.gap_m", 0.0015)
+    fit, patch = (ContactPipeline(each, touch.rig, untouched).process(frame) for each in (preset, wide))
+    added_mm = np.sqrt(patch.area_mm2 / np.pi) - np.sqrt(fit.area_mm2 / np.pi)
+    assert added_mm > 3
+    assert patch.doubt.boundary_error_mm > fit.doubt.boundary_error_mm + added_mm / 3
+    found = {finding.name: finding for finding in Examiner(touch.rig).findings(frame, patch, wide)}
+    assert found["wide_gap"].proposal.apply(wide).membrane == preset.membrane
+    assert "wide_gap" not in {each.name for each in Examiner(touch.rig).findings(frame, fit, preset)}
+
+
 def test_what_the_proximity_camera_saw_there_untouched_is_no_sure_contact(rig):
     """A smear hides the colour of the prints, which still reflect infrared."""
     preset, untouched, touch, hover = rig
