@@ -118,7 +118,7 @@ class Timeline(QObject):
             return
         depends_on = preset.model_dump_json(exclude=_WITHOUT_EFFECT)
         if self.series is None or depends_on != self._series_of:
-            self.series, self._series_of = Series(info.length, info.frame_rate_hz), depends_on
+            self.series, self._series_of = Series(info.length, info.frame_rate_hz, info.times_s), depends_on
             self.job.rest()
             self._show_series()
         if not self.series.complete:
@@ -148,7 +148,7 @@ class Timeline(QObject):
 
     def _show_series(self) -> None:
         if (series := self.series) is not None:
-            self._strip.set_series(series.seconds(), series.values, series.computed)
+            self._strip.set_series(series.seconds, series.values, series.computed)
 
     def _frame_shown(self) -> None:
         result = self._context.result

@@ -150,12 +150,12 @@ def _compute(source: FrameSource, order: Order, orders: Connection) -> None:
 class Series:
     """The values of a recording's frames, shape (N,) by field of `FrameValues`, and which frames were computed."""
 
-    def __init__(self, length: int, frame_rate_hz: float) -> None:
+    def __init__(self, length: int, frame_rate_hz: float, times_s: Float64Array | None = None) -> None:
         self.values: dict[str, Float64Array] = {
             field.name: np.full(length, math.nan) for field in fields(FrameValues) if field.name != "index"
         }
         self.computed: BoolArray = np.zeros(length, np.bool_)
-        self._rate_hz = frame_rate_hz
+        self.seconds = np.arange(length) / frame_rate_hz if times_s is None else times_s
 
     def __len__(self) -> int:
         return len(self.computed)
@@ -168,6 +168,3 @@ class Series:
         self.computed[found.index] = True
         for name, column in self.values.items():
             column[found.index] = getattr(found, name)
-
-    def seconds(self) -> Float64Array:
-        return np.arange(len(self)) / self._rate_hz

@@ -134,6 +134,7 @@ class SourceInfo:
     frame_rate_hz: float
     preset: Preset | None = None
     at_rest: FrameSource | None = None
+    times_s: Float64Array | None = field(default=None, compare=False)
 
     def find_untouched(self, preset: Preset, path: Path | None, progress: Progress) -> FoundUntouched:
         """Return the untouched frame for a preset and its file, from any thread; measuring it may take long."""
@@ -149,7 +150,7 @@ class SourceInfo:
         except PresetError:
             preset = None
         at_rest = source if isinstance(source, SimulatorSource) else _AtRest(source)
-        return cls(source.name, source.rig, source.length, source.frame_rate_hz, preset, at_rest)
+        return cls(source.name, source.rig, source.length, source.frame_rate_hz, preset, at_rest, source.times_s())
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,9 @@ class DropReason(NamedTuple):
     action: str = ""
 
 
-MASK_REASON: Final = DropReason("the mask", "rightly, if these are prints; if something touches, narrow its colour ranges")
+MASK_REASON: Final = DropReason(
+    "the mask", "rightly, if these are prints; if something touches, narrow its colour ranges"
+)
 
 
 class BiasLimits(NamedTuple):

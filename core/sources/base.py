@@ -9,7 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, Self
 
+import numpy as np
+
 from ..errors import ExportError, SourceError
+from ..model.arrays import Float64Array
 from ..model.files import recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 
@@ -126,6 +129,10 @@ class FrameSource(ABC):
         """The rate at which frames were taken, in Hz."""
         return 30.0
 
+    def times_s(self) -> Float64Array | None:
+        """Return when each frame of a recording was taken, seconds from the first one; None where that is unknown."""
+        return None
+
     @property
     def position(self) -> int:
         """Index of the frame that `next_frame` will return."""
@@ -175,6 +182,11 @@ class FrameSource(ABC):
     def __iter__(self) -> Iterator[SensorFrame]:
         while (frame := self.next_frame()) is not None:
             yield frame
+
+
+def from_first_s(stamps_s: Float64Array) -> Float64Array | None:
+    """Return time stamps, seconds, from the first one; None unless they rise."""
+    return stamps_s - stamps_s[0] if len(stamps_s) and bool((np.diff(stamps_s) > 0).all()) else None
 
 
 class SeekableSource(FrameSource):

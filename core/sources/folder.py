@@ -31,12 +31,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, SourceError
-from ..model.arrays import AnyArray, Uint8Array, Uint16Array
+from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validation_sentence
-from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write
+from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write, from_first_s
 from .folder_layout import FrameFiles, find_frames, own_images
 from .lens_files import Lens, make_lens
 
@@ -217,6 +217,9 @@ class FolderSource(SeekableSource):
         gaps = np.diff([stamp.proximity_time_s for stamp in self._stamps])
         median = float(np.median(gaps)) if len(gaps) else 0.0
         return 1.0 / median if median > 0 else super().frame_rate_hz
+
+    def times_s(self) -> Float64Array | None:
+        return from_first_s(np.array([stamp.proximity_time_s for stamp in self._stamps]))
 
     def read(self, index: int) -> SensorFrame:
         return self._frame(self._layout.frames[index], self._stamps[index])

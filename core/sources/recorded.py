@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import SourceError
 from ..model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ..model.frames import Matrix4, Rig, SensorFrame, Shot
-from .base import Health, SeekableSource
+from .base import Health, SeekableSource, from_first_s
 from .cameras.camera import Calibration
 from .cameras.pairing import pairs, period_s
 from .ros_image import damage_told
@@ -97,6 +97,9 @@ class RecordedSource(SeekableSource):
     @property
     def frame_rate_hz(self) -> float:
         return self._cameras[0].rate_hz or super().frame_rate_hz
+
+    def times_s(self) -> Float64Array | None:
+        return from_first_s(self._cameras[0].times_s[self._first])
 
     def health(self) -> Health:
         said = list(self._lacks)

@@ -12,8 +12,10 @@ from PyQt6.QtTest import QTest
 from fakes import FakeCameras, FakeSource, at_rest, tiny_frame
 from hands import CONTROL, show_source, strip_position, type_path
 from tactune.app.timeline.series import Series, time_series, visiting_order
-from tactune.core import ContactPipeline
+from tactune.app.worker.results import SourceInfo
+from tactune.core import ContactPipeline, open_source
 from tactune.core.model.frames import GroundTruth
+from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.tactune_files import McapSource
@@ -50,6 +52,20 @@ def mark(qtbot, window, first, last):
 
 def computed(window):
     return window.timeline.series is not None and window.timeline.series.complete
+
+
+@pytest.mark.parametrize(("name", "export"), [("lost.mcap", export_mcap), ("lost", export_folder)])
+def test_a_recording_with_lost_frames_has_the_times_of_their_stamps(tmp_path, name, export):
+    times_s = np.array([10.0, 10.1, 10.5, 10.6])
+
+    def make(index, rig):
+        at_s = float(times_s[index])
+        return replace(tiny_frame(index, rig), proximity_time_s=at_s, tactile_time_s=at_s)
+
+    export(FakeSource(4, make=make), tmp_path / name)
+    with open_source(str(tmp_path / name)) as source:
+        info = SourceInfo.of(source)
+    np.testing.assert_allclose(Series(info.length, info.frame_rate_hz, info.times_s).seconds, times_s - 10)
 
 
 def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_pointer(make_window, scene, qtbot):
