@@ -124,15 +124,9 @@ def read_values(path: Path) -> AnyArray:
         return image.astype(np.uint16)
     if image.dtype.kind == "f" and image.ndim == 2:
         return image.astype(np.float64)
-    found = image.shape[2] if image.ndim == 3 else 1
-    what = (
-        f"the shape {image.shape}"
-        if image.ndim not in (2, 3)
-        else f"{found} channels of {8 * image.dtype.itemsize} bits"
-    )
     raise SourceError(
-        f"{path} has {what}, but 1 of 16 bits or of floating-point values are needed; save the depth itself, not a "
-        "picture of it"
+        f"{path} has {image.dtype} in the shape {image.shape}, but 1 channel of 16 bits or of floating-point values is "
+        "needed; save the depth itself, not a picture of it"
     )
 
 
@@ -302,8 +296,8 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     if not contact.exists():
         return None
     mask = check_size(contact, read_image(contact), shape)
-    if mask.dtype != np.uint8 or mask.ndim != 2:
-        raise SourceError(f"{contact} is no image of 8 bits and one channel; write it again in that form")
+    if mask.dtype != np.uint8 or mask.ndim != 2 or not np.isin(mask, (0, 255)).all():
+        raise SourceError(f"{contact} is no image of one channel with 0 and 255; write it again in that form")
     depth = None
     if metres.exists():
         depth = read_image(metres)
@@ -311,8 +305,6 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
             raise SourceError(
                 f"{metres} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again"
             )
-    if not np.isin(mask, (0, 255)).all():
-        raise SourceError(f"{contact} contains other values than 0 and 255; write it again")
     return GroundTruth(mask == 255, depth)
 
 

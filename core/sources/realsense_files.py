@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import SourceError, foreign
 from ..model.arrays import AnyArray, Float64Array
 from ..model.files import recording_files, user_path
 from ..model.frames import DepthCamera, camera_pose, pose_matrix
@@ -179,8 +179,8 @@ class RecordingFile(ABC):
             raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
         names = self._names(f"/device_{number}/info")
         info = DepthCamera(
-            model=_plain(names.get("Name", "unknown")),
-            serial=_plain(names.get("Serial Number", "")),
+            model=foreign(names.get("Name", "unknown"), 80),
+            serial=foreign(names.get("Serial Number", ""), 80),
             intrinsics=depth.intrinsics,
             depth_unit_m=unit_m,
         )
@@ -229,7 +229,7 @@ class BagFile(RecordingFile):
         return RawImage(height, width, encoding, bool(big_endian), step, np.frombuffer(message, np.uint8, size, at))
 
     def _names(self, topic: str) -> Mapping[str, str]:
-        return dict(_key_value(self.bag.raw(topic, index)) for index in range(self.bag.count(topic)))
+        return self._facts(topic, range(self.bag.count(topic)))
 
     def _depth_unit_m(self, sensor: str) -> float | None:
         options = [f"{sensor}/option/{words}/value" for words in ("Depth Units", "Depth_Units")]
@@ -252,8 +252,12 @@ class BagFile(RecordingFile):
         # Cameras write two dozen facts for every image; those of the last one tell the clock.
         written_ns = self.bag.times_ns(about)
         last = np.flatnonzero(written_ns == written_ns[-1:])
-        facts = dict(_key_value(self.bag.raw(about, int(index))) for index in last)
+        facts = self._facts(about, last.tolist())
         return self.bag.stamps_s(images, self.progress), facts.get("timestamp_domain", "")
+
+    def _facts(self, topic: str, numbers: Iterable[int]) -> dict[str, str]:
+        messages = (self.bag.message(topic, number) for number in numbers)
+        return {message.key: message.value for message in messages}
 
     def _first(self, topic: str) -> Any:
         if not self.bag.count(topic):
@@ -317,11 +321,6 @@ def _text(message: memoryview, at: int) -> tuple[str, int]:
     return bytes(message[at + 4 : end]).decode(errors="replace"), end
 
 
-def _key_value(message: memoryview) -> tuple[str, str]:
-    key, at = _text(message, 0)
-    return key, _text(message, at)[0]
-
-
 def _numbers(facts: Mapping[str, str], key: str) -> tuple[float, ...]:
     """Return the comma-separated numbers of a field, at the precision of the cameras."""
     text = facts.get(key, "")
@@ -329,8 +328,3 @@ def _numbers(facts: Mapping[str, str], key: str) -> tuple[float, ...]:
         return tuple(float(np.float32(float(part))) for part in text.split(","))
     except ValueError as error:
         raise DamagedFileError(f"{key} is {text[:40]!r}, which is no number") from error
-
-
-def _plain(text: str) -> str:
-    """Return a name from a file as one short printable line."""
-    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:80]

@@ -59,7 +59,7 @@ _MOST_DIGITS: Final = 10  # of 3 bits each
 FLOAT_UNIT_M: Final = 1e-4
 
 
-class DamagedFileError(Exception):
+class DamagedFileError(ValueError):
     """The bytes are damaged; the message is a clause for the end of a sentence."""
 
 
@@ -176,13 +176,13 @@ def _unpacked(words: str, data: Uint8Array) -> RawImage:
     """Return a compressed image; ``words`` is its format, such as ``"16UC1; compressedDepth png"``."""
     encoding, _, how = (part.strip() for part in words.partition(";"))
     if "compressedDepth" not in words:
-        image = _decoded(data)
+        image = decode_image(data.tobytes())
         kind = _DECODED.get((image.dtype.name, 1 if image.ndim == 2 else image.shape[2]))
         if kind is None:
             raise DamagedFileError(f"it is compressed with {image.dtype} and the shape {image.shape}")
         return RawImage.of_pixels(image, kind)
     packed = data[_DEPTH_HEADER_BYTES:]
-    image = _unpack_rvl(packed) if "rvl" in how.lower() else _decoded(packed)
+    image = _unpack_rvl(packed) if "rvl" in how.lower() else decode_image(packed.tobytes())
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DamagedFileError(f"its depth is compressed with {image.dtype} and the shape {image.shape}")
     if encoding != "32FC1":
@@ -226,10 +226,3 @@ def _unpack_rvl(data: Uint8Array) -> Uint16Array:
     depth = np.zeros(len(seen), np.uint16)
     depth[seen] = np.cumsum(np.concatenate(differences))
     return depth.reshape(height, width)
-
-
-def _decoded(data: Uint8Array) -> AnyArray:
-    try:
-        return decode_image(data.tobytes())
-    except ValueError as error:
-        raise DamagedFileError(str(error)) from error

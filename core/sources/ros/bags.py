@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sqlite3
 import struct
 import tempfile
@@ -29,7 +28,7 @@ from ...model.loading import read_file
 from ..base import Progress
 from ..ros_image import DamagedFileError, damage_told
 from .mcap import MAGIC, McapBag
-from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpacked, zstd
+from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpack_file, unpacked
 
 METADATA: Final = "metadata.yaml"
 #: More than that of a recording with hundreds of topics and files.
@@ -206,8 +205,7 @@ class SplitBag(Bag):
         if path.suffix != ".zstd":
             return path
         folder = Path(self._resources.enter_context(tempfile.TemporaryDirectory(prefix="tactune-")))
-        with zstd.open(path, "rb") as packed, (folder / path.stem).open("wb") as plain:
-            shutil.copyfileobj(packed, plain)
+        unpack_file(path, folder / path.stem)
         return folder / path.stem
 
 

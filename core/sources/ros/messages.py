@@ -11,6 +11,7 @@ A lens model that ROS does not know (librealsense's inverse and modified Brown-C
 
 from __future__ import annotations
 
+import shutil
 import struct
 import sys
 from abc import ABC, abstractmethod
@@ -116,6 +117,12 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 def unpacked(data: memoryview) -> memoryview:
     """Return the bytes of a message, decompressed if they are compressed."""
     return memoryview(zstd.decompress(data)) if bytes(data[:4]) == ZSTD_MAGIC else data
+
+
+def unpack_file(path: Path, target: Path) -> None:
+    """Decompress a file as a whole."""
+    with zstd.open(path, "rb") as packed, target.open("wb") as plain:
+        shutil.copyfileobj(packed, plain)
 
 
 #: Message types of poses. The library knows those of ROS 2 only.

@@ -19,7 +19,7 @@ from ...errors import ExportError, SourceError, counted, foreign
 from ...model.files import atomic_path, user_path
 from ...model.loading import read_json
 from ..base import PROXIMITY_NAMES, TACTILE_NAMES, split_topics
-from ..ros_image import DamagedFileError, RawImage
+from ..ros_image import RawImage
 from .messages import CAMERA_INFO, IMAGE, Bag
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
@@ -87,7 +87,7 @@ def survey(bag: Bag) -> tuple[ImageTopic, ...]:
         try:
             message = bag.message(topic, 0)
             image = RawImage.of(message)
-        except (DamagedFileError, SourceError):
+        except (ValueError, SourceError):  # damaged, or of an encoding that is not known
             continue
         words = frozenset(re.split(r"[/_]", topic))
         says_depth = "depth" in words or "stereo" in words
