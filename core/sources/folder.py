@@ -39,6 +39,7 @@ from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json
 from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write, from_first_s
 from .folder_layout import FrameFiles, find_frames, own_images
 from .lens_files import Lens, make_lens
+from .ros_image import damage_told
 
 CAMERAS: Final = ("proximity", "tactile", "proximity_color")
 _STRICT: Final = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
@@ -151,13 +152,8 @@ _TO_RGB: Final = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA
 def read_image(path: Path) -> AnyArray:
     """Return an image or a ``.npy`` as it is; `SourceError` if it cannot be read."""
     is_array = path.suffix.lower() == ".npy"
-    try:
+    with damage_told(path, f"it is no readable {'NumPy array' if is_array else f'{path.suffix[1:].upper()} image'}"):
         return parse_npy(read_file(path)) if is_array else decode_image(read_file(path))
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; export or copy it again") from error
-    except ValueError as error:
-        what = "NumPy array" if is_array else f"{path.suffix[1:].upper()} image"
-        raise SourceError(f"{path} is no readable {what} ({error}); export or copy it again") from error
 
 
 def check_size(path: Path, image: AnyArray, shape: tuple[int, int]) -> AnyArray:

@@ -27,6 +27,7 @@ from ..model.arrays import AnyArray, Float32Array, Float64Array
 from ..model.frames import Matrix4, camera_pose
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.loading import parse_json, read_file
+from .ros_image import damage_told
 
 #: Names of lens models, as ROS, image_pipeline, Kalibr, OpenCV and camera makers write them.
 _PINHOLE = (
@@ -196,17 +197,9 @@ def find_lens_files(folder: Path, role: str, image: Path) -> list[Path]:
 def read_lenses(path: Path) -> list[StatedLens]:
     """Return the cameras of a file, in its order; `SourceError` if it states none."""
     suffix = path.suffix.lower()
-    try:
+    with damage_told(path, "it is no file of a lens"):
         text = read_file(path, _MAX_BYTES.get(suffix, _MAX_TEXT_BYTES)).decode("utf-8-sig")
-        data = _parse(text, suffix)
-        lenses = _cameras(path, data)
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except SourceError:
-        raise
-    except Exception as error:  # of parsers, and of numbers that are none
-        detail = foreign(error, 120) or type(error).__name__
-        raise SourceError(f"{path} is no file of a lens ({detail}); write it again") from error
+        lenses = _cameras(path, _parse(text, suffix))
     if not lenses:
         raise SourceError(
             f"{path} states no lens: no camera_matrix, K, intrinsics or fx; known are ROS camera_info, Kalibr's "

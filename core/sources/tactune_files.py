@@ -32,9 +32,9 @@ from .ros.messages import (
     PRESET_NAME,
     RIG_NAME,
     TEXT,
+    TYPES,
     UNTOUCHED_NAME,
     Topic,
-    parse,
 )
 from .ros_image import RawImage, damage_told
 
@@ -189,31 +189,20 @@ class McapSource(RecordedSource):
         if data is None:
             told = "write its images to a folder and describe the cameras with tactune preset create-rig"
             raise SourceError(f"{self._path} has no {RIG_NAME} and no {Topic.RIG}: {told}")
-        return parse_rig(self._json_object(data, RIG_NAME), f"{RIG_NAME} in {self._path}")
+        with damage_told(self._path, f"{RIG_NAME} is no JSON object"):
+            return parse_rig(dict(parse_json(data)), f"{RIG_NAME} in {self._path}")
 
     def _frame_record(self, number: int) -> tuple[int, float, float]:
-        data = self._json_object(self._parse(Topic.FRAME, number, TEXT).data, Topic.FRAME)
-        try:
+        with damage_told(self._path, f"a message of {Topic.FRAME} is damaged"):
+            data = parse_json(self._parse(Topic.FRAME, number, TEXT).data)
             return int(data["sequence"]), float(data["proximity_time_s"]), float(data["tactile_time_s"])
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise SourceError(
-                f"{self._path}: a message of {Topic.FRAME} is damaged; copy the recording again"
-            ) from error
 
     def _image(self, topic: Topic, shape: tuple[int, int], number: int) -> AnyArray:
         return _IMAGES[topic](RawImage.of(self._parse(topic, number, IMAGE)), shape)
 
     def _parse(self, topic: Topic, number: int, message_type: str) -> Any:
-        return parse(self._bag.raw(topic, number), message_type, self._path)
-
-    def _json_object(self, data: str | bytes, what: str) -> dict[str, Any]:
-        try:
-            value = parse_json(data)
-        except ValueError:
-            value = None
-        if not isinstance(value, dict):
-            raise SourceError(f"{self._path}: {what} is no JSON object; copy the recording again")
-        return value
+        with damage_told(self._path, f"it has a message that is no {message_type}"):
+            return TYPES.deserialize_cdr(self._bag.raw(topic, number), message_type)
 
 
 def is_ours(text: str) -> bool:

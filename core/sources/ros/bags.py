@@ -45,7 +45,7 @@ _HEAD_BYTES: Final = 12
 class SqliteBag(Bag):
     """A ROS 2 bag in an SQLite database; each message may be compressed with zstd."""
 
-    def __init__(self, path: Path, _: Progress | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__()
         uri = path.resolve().as_uri() + "?mode=ro&immutable=1"
         self._lock = Lock()
@@ -98,7 +98,7 @@ class SqliteBag(Bag):
 class Ros1Bag(Bag):
     """A ROS 1 bag."""
 
-    def __init__(self, path: Path, _: Progress | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__()
         self._lock = Lock()
         self._chunk = lru_cache(_CACHED_CHUNKS)(self._unpack)
@@ -243,14 +243,9 @@ def _parts_of(folder: Path) -> list[Path]:
                 f"({', '.join(foreign(name, 40) for name in sorted(names)[:4])}); choose the files of one"
             )
         return paths
-    try:
-        text = read_file(folder / METADATA, _MAX_METADATA_BYTES).decode("utf-8")
-        names = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
-        paths = [folder / name for name in dict.fromkeys(PurePath(name).name for name in names)]
-    except OSError:
-        raise
-    except Exception as error:
-        raise SourceError(f"{folder / METADATA} describes no ROS 2 bag ({foreign(error)}); choose its files") from error
+    text = read_file(folder / METADATA, _MAX_METADATA_BYTES).decode("utf-8")
+    names = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
+    paths = [folder / name for name in dict.fromkeys(PurePath(name).name for name in names)]
     if missing := [path for path in paths if not path.is_file()]:
         raise SourceError(f"{folder} lacks {missing[0].name}, which {METADATA} names; copy all files of the recording")
     if not paths:

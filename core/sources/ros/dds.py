@@ -176,8 +176,7 @@ class Raw:
 class Reader:
     """Receives the messages of one topic; made by `Listener.read`."""
 
-    def __init__(self, topic: str, reader: DataReader[Any]) -> None:
-        self.topic = topic
+    def __init__(self, reader: DataReader[Any]) -> None:
         self.entity = reader
 
     def take(self) -> list[bytes]:
@@ -214,9 +213,7 @@ class Listener(Participant):
             Policy.Durability.TransientLocal if is_kept else Policy.Durability.Volatile,
             Policy.History.KeepLast(_QUEUE),
         )
-        return Reader(
-            topic, DataReader(self.participant, Topic(self.participant, f"rt{topic}", _raw_type(kind)), qos=qos)
-        )
+        return Reader(DataReader(self.participant, Topic(self.participant, f"rt{topic}", _raw_type(kind)), qos=qos))
 
     def _published(self) -> list[Any]:
         """Return what is announced about each publisher of a ROS 2 topic; those that left have no names."""

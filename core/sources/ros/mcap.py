@@ -9,9 +9,10 @@ from __future__ import annotations
 import struct
 import zlib
 from array import array
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
@@ -32,7 +33,8 @@ from .messages import ZSTD_MAGIC, Bag, long_name, stamp_ns, unpacked
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
 _MAX_CHUNK_BYTES: Final = 2**26
-_CACHED_CHUNKS, _CACHED_BYTES = 8, 2**27
+#: Both cameras of a frame may be in different chunks, with the chunk of the frame before.
+_CACHED_CHUNKS: Final = 4
 
 
 class McapBag(Bag):
@@ -47,7 +49,7 @@ class McapBag(Bag):
         super().__init__()
         self.path, self._progress = path, progress
         self._lock = Lock()
-        self._cache: OrderedDict[int, memoryview] = OrderedDict()
+        self._chunk_data = lru_cache(_CACHED_CHUNKS)(self._unpack)
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._places: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))  # a list takes ten times as much
@@ -124,7 +126,7 @@ class McapBag(Bag):
 
     def close(self) -> None:
         self._file.close()
-        self._cache.clear()
+        self._chunk_data.cache_clear()
 
     def _index(self) -> bool:
         """Find all messages up to the last complete chunk; return whether the file has an end."""
@@ -190,22 +192,14 @@ class McapBag(Bag):
             channel = Channel.read(_stream(body))
             self._channels[channel.id] = channel
 
-    def _chunk_data(self, start: int) -> memoryview:
-        """Return a chunk's records, decompressed and checked; the last few are kept."""
-        if start in self._cache:
-            self._cache.move_to_end(start)
-            return self._cache[start]
+    def _unpack(self, start: int) -> memoryview:
+        """Return a chunk's records, decompressed and checked."""
         (length,) = struct.unpack("<Q", self._read(start - 8, 8))
         chunk = Chunk.read(_stream(self._read(start, length)))
         if chunk.uncompressed_size > _MAX_CHUNK_BYTES + 8 * self._size:
             raise ValueError(f"a chunk claims to hold {chunk.uncompressed_size / 2**20:.0f} MiB")
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        self._cache[start] = memoryview(stream.read(size))
-        while len(self._cache) > _CACHED_CHUNKS or (
-            len(self._cache) > 1 and sum(map(len, self._cache.values())) > _CACHED_BYTES
-        ):
-            self._cache.popitem(last=False)
-        return self._cache[start]
+        return memoryview(stream.read(size))
 
     def _read(self, offset: int, length: int) -> bytes:
         if not 0 <= offset <= offset + length <= self._size:

@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array
 from ...model.frames import pose_matrix
 from ..base import Progress
@@ -90,14 +89,6 @@ PROXIMITY_COLOR_FRAME: Final = "proximity_color_optical_frame"
 TACTILE_FRAME: Final = "tactile_depth_optical_frame"
 #: Frame of the known object.
 OBJECT_FRAME: Final = "object"
-
-
-def parse(data: bytes | memoryview, message_type: str, origin: Path) -> Any:
-    """Return a message from its bytes; `SourceError` names the file, ``origin``, if they are damaged."""
-    try:
-        return TYPES.deserialize_cdr(data, message_type)
-    except Exception as error:  # the library checks with whatever Python raises
-        raise SourceError(f"{origin} has a message that is no {message_type}; copy the recording again") from error
 
 
 def matrix_of(transform: Any) -> Float64Array:

@@ -218,7 +218,7 @@ def test_images_of_two_cameras_are_paired_by_time_at_most_half_a_period_apart(tm
 
 
 REFUSED = {
-    "depth as a picture": ({"proximity_depth.png": COLOR}, r"proximity_depth\.png has uint8 in the shape .*, 3\).*picture"),
+    "depth as a picture": ({"proximity_depth.png": COLOR}, r"proximity_depth\.png has uint8 in .*, 3\).*picture"),
     "8 bits": ({"tactile_depth.jpg": GRAY}, r"tactile_depth\.jpg has uint8 in"),
     "npy stack": ({"proximity_depth.npy": np.zeros((2, 3, 4, 5), np.uint16)}, r"proximity_depth\.npy"),
     "two of one name": ({"proximity_depth.npy": DEPTH, "proximity_depth.png": DEPTH}, "remove one"),

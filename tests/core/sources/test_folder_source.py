@@ -109,7 +109,7 @@ BAD = {
         ),
         r"tactile_depth\.tiff has depths of 400 m and more, .* --unit mm",
     ),
-    "no PNG": (lambda p: (p / F / "tactile_depth.png").write_bytes(b"oops"), r"tactile_depth\.png is no readable PNG"),
+    "no PNG": (lambda p: (p / F / "tactile_depth.png").write_bytes(b"oops"), r"_depth\.png: it is no readable PNG"),
     "one sequence twice": (
         lambda p: edit(p / "000001/frame.json", sequence=json.loads((p / F / "frame.json").read_text())["sequence"]),
         r"has two frames of the same sequence in frame\.json; correct it",
