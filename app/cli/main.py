@@ -63,6 +63,15 @@ _UsageError: type[Any] = typer.BadParameter.__mro__[1]
 class _Commands(TyperGroup):
     """The command ``tactune``, whose help is one screen: commands in groups, no summary cut."""
 
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Read the options before a command."""
+        try:
+            return super().parse_args(ctx, args)
+        except _UsageError as error:
+            raise TactuneError(
+                f"{error.format_message().rstrip('.')}; options follow a command, as in tactune gui --source sim"
+            ) from error
+
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """Run a command; what is missing or wrong in its arguments is one sentence with an example."""
         try:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ...core.errors import counted
+from ...core.errors import counted, foreign
 from ...core.model.files import check_writable, finite_or_none
 from .common import (
     SOURCE,
@@ -76,7 +76,9 @@ EstimateOption = Annotated[
 def _place(text: str) -> Path:
     if not text:
         raise typer.BadParameter("it is empty; name a folder, . for this one, or a file that ends in .mcap")
-    return Path(text)
+    if (path := Path(text)).suffix != MCAP_SUFFIX and path.is_file():
+        raise typer.BadParameter(f"{foreign(text)} is a file; name a folder, or a file that ends in .mcap")
+    return path
 
 
 def run(

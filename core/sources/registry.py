@@ -5,6 +5,7 @@ A kind of source is one `SourceKind`. Other packages add theirs by an entry poin
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -236,4 +237,8 @@ def _resolved(name: str) -> tuple[SourceKind, str]:
     scheme = name.partition(":")[0]
     if scheme in problems:
         raise SourceError(problems[scheme])
-    raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")
+    if Path(name).suffix or "/" in name:
+        raise SourceError(f"{name!r} is no source: there is no such file or folder; check the path")
+    near = get_close_matches(name, ("sim", *(kind.scheme for kind in kinds)), 1)
+    meant = f"did you mean {near[0]}? Else " if near else ""
+    raise SourceError(f"{name!r} is no source: {meant}give an existing path or one of {forms}")
