@@ -36,7 +36,7 @@ class CheckPage(QWidget):
         self.job = Job(self)
         self.image = PointImage("Proximity image over tactile image", magnifies=False)
         self.errors = wrapped_label()
-        self.errors.setToolTip("Over the membrane; both alignments are compared at pairs that neither was fitted to")
+        self.errors.setToolTip("Over the membrane; both alignments are compared at pairs left out of their fits")
         self.share = QSlider(Qt.Orientation.Horizontal)
         self.share.setRange(0, 100)
         self.share.setValue(50)

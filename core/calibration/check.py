@@ -77,7 +77,7 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A new alignment beside a preset's present one, at ``pairs`` pairs that neither was fitted to.
+    """A new alignment beside a preset's present one, at ``pairs`` pairs, each left out of both fits.
 
     ``new_px`` and ``present_px`` are the RMS residuals there, with the clicks' noise; ``better_px`` is by how much the
     new one is smaller, with the half width of its 95 % interval. ``verdict`` is "better", "worse" or "equal".
@@ -99,8 +99,8 @@ class Comparison:
             "equal": "These pairs show no difference",
         }
         return (
-            f"{words[self.verdict]}: {self.new_px:.2f} px new, {self.present_px:.2f} px present at {self.pairs} pairs "
-            f"that neither was fitted to; difference {minus(f'{self.better_px:+z.2f}')} ± {self.half_width_px:.2f} px."
+            f"{words[self.verdict]}: {self.new_px:.2f} px new, {self.present_px:.2f} px present at {self.pairs} pairs, "
+            f"each left out of both fits; difference {minus(f'{self.better_px:+z.2f}')} ± {self.half_width_px:.2f} px."
         )
 
 
