@@ -426,7 +426,7 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
 def _focal_sd(jacobians: Sequence[AnyArray], noise_px: float) -> float:
     """Return the larger standard deviation of fx and fy, pixels; corners have ``noise_px`` in one direction.
 
-    It is the noise over the length of that part of a column which no other parameter explains. OpenCV's own deviations
+    They are the least squares' own, with the poses of the boards projected out. OpenCV's deviations
     are small where parameters cannot be told apart, since it inverts without those directions. Columns of
     ``jacobians``, (2 N, 15), one for each picture: turn, shift, fx, fy, cx, cy, k1, k2, p1, p2 and k3, which is fixed.
     """
@@ -434,9 +434,6 @@ def _focal_sd(jacobians: Sequence[AnyArray], noise_px: float) -> float:
     for jacobian in jacobians:
         pose, lens = np.linalg.qr(jacobian[:, :6])[0], jacobian[:, 6:14]
         rows.append(lens - pose @ (pose.T @ lens))
-    columns = np.concatenate(rows)
-    lengths = []
-    for focal in range(2):
-        others = np.linalg.qr(np.delete(columns, focal, axis=1))[0]
-        lengths.append(float(np.linalg.norm(columns[:, focal] - others @ (others.T @ columns[:, focal]))))
-    return float(noise_px / max(min(lengths), 1e-12))
+    _, lengths, directions = np.linalg.svd(np.concatenate(rows), full_matrices=False)
+    variances = (directions[:, :2] / np.maximum(lengths, 1e-12)[:, None]) ** 2
+    return float(noise_px * np.sqrt(variances.sum(axis=0).max()))

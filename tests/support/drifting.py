@@ -44,7 +44,7 @@ class _DriftedPress(Press):
 
     def __init__(self, scene: Scene, membrane: Membrane, rig: Rig, drift: Drift) -> None:
         super().__init__(scene, membrane, rig)
-        near, tactile, color = cameras(rig, membrane.design)
+        near, tactile, color = cameras(rig)
         if drift.camera == "tactile":
             tactile = _moved(tactile, drift.motion)
         else:

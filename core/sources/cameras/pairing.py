@@ -89,19 +89,17 @@ def period_s(times_s: Float64Array, rate_hz: float = 30.0) -> float:
     return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
 
 
-def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:
-    """Return the indices of images that are each other's nearest and at most ``farthest_s`` apart."""
-    partner = nearest(first_s, second_s)
-    is_mutual = nearest(second_s, first_s)[partner] == np.arange(len(first_s))
-    # Stamps are sums and products of decimal fractions: exactly half a period must still count.
-    is_near = np.abs(second_s[partner] - first_s) <= farthest_s * (1 + 1e-6)
-    chosen = np.flatnonzero(is_mutual & is_near)
-    return chosen, partner[chosen]
-
-
 def nearest_within(times_s: Float64Array, candidates_s: Float64Array, farthest_s: float) -> IndexArray:
     """Return for each time the index of the nearest candidate, or -1 where that is farther away."""
     if not len(candidates_s):
         return np.full(len(times_s), -1)
     partner = nearest(times_s, candidates_s)
+    # Stamps are sums and products of decimal fractions: exactly half a period must still count.
     return np.where(np.abs(candidates_s[partner] - times_s) <= farthest_s * (1 + 1e-6), partner, -1)
+
+
+def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:
+    """Return the indices of images that are each other's nearest and at most ``farthest_s`` apart."""
+    partner = nearest_within(first_s, second_s, farthest_s)
+    chosen = np.flatnonzero((partner >= 0) & (nearest(second_s, first_s)[partner] == np.arange(len(first_s))))
+    return chosen, partner[chosen]

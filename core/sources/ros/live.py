@@ -25,11 +25,9 @@ from ..cameras.camera import Camera, CameraDriver, DeviceInfo, Images
 from ..cameras.camera_source import CameraSource
 from ..cameras.pairing import period_s
 from ..capture.process_source import ProcessSource
-from ..lens_files import Lens
-from ..ros_image import RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
-from .recording import NAMING, GapError, StatedRig, stated_rig
+from .recording import NAMING, GapError, StatedRig, Stream, stated_rig
 from .topics import COMPRESSED, ImageTopic, Topics, list_topics, split_name, survey
 
 #: Longest search, seconds, and in how many looks nothing new may come before it ends: a busy computer looks rarely.
@@ -197,7 +195,7 @@ class Ros2Source(CameraSource):
         self._listener, self._lacks = listener, found.rig.lacks
         driver = Ros2Driver(listener, found)
         chosen: dict[str, Any] = {
-            role: getattr(cameras, role).model_copy(update={"serial": camera.depth.name, "options": {}})
+            role: getattr(cameras, role).model_copy(update={"serial": camera.depth.topic.name, "options": {}})
             for role, camera in found.rig.cameras.items()
         }
         roles = tuple(found.rig.cameras)
@@ -235,7 +233,7 @@ class Ros2Driver(CameraDriver):
 
     def _info(self, role: CameraRole) -> _TopicInfo:
         camera = self._found.rig.cameras[role]
-        return _TopicInfo(camera.calibration.depth.model, camera.depth.name, role)
+        return _TopicInfo(camera.calibration.depth.model, camera.depth.topic.name, role)
 
 
 class _Message(NamedTuple):
@@ -246,13 +244,12 @@ class _Message(NamedTuple):
     data: bytes
 
 
-class _Stream:
-    """A topic of images with its lens."""
+class _Receiver:
+    """Receives the images of a topic."""
 
-    def __init__(self, listener: Listener, topic: ImageTopic, lens: Lens, kind: str) -> None:
-        self.name, self._shape, self._lens, self._kind = topic.name, (topic.height, topic.width), lens, kind
-        self._is_depth = topic.kind == "depth"
-        self.reader = listener.read(topic.name, kind)
+    def __init__(self, listener: Listener, stream: Stream, types: Mapping[str, str]) -> None:
+        self.stream, self._kind = stream, types[stream.topic.name]
+        self.reader = listener.read(stream.topic.name, self._kind)
         self.waiting: deque[_Message] = deque()
 
     def take(self) -> None:
@@ -261,10 +258,8 @@ class _Stream:
             self.waiting.append(_Message(1e-9 * stamp_ns(data), time.monotonic(), data))
 
     def pixels(self, message: _Message) -> AnyArray:
-        """Return counts or RGB."""
-        image = RawImage.of(TYPES.deserialize_cdr(memoryview(message.data), self._kind))  # bytes would be copied
-        pixels = image.depth(self._shape, copy=False) if self._is_depth else image.color(self._shape, copy=False)
-        return self._lens.rectify(pixels)
+        data = memoryview(message.data)  # bytes would be copied
+        return self.stream.pixels(TYPES.deserialize_cdr(data, self._kind), copy=False)
 
 
 class Ros2Camera(Camera):
@@ -272,29 +267,28 @@ class Ros2Camera(Camera):
 
     def __init__(self, listener: Listener, info: DeviceInfo, role: CameraRole, found: Found) -> None:
         stated = found.rig.cameras[role]
-        self._depth, self._color = _Stream(listener, stated.depth, stated.lens, found.types[stated.depth.name]), None
-        if stated.color is not None and stated.color_lens is not None:
-            self._color = _Stream(listener, stated.color, stated.color_lens, found.types[stated.color.name])
+        self._depth = _Receiver(listener, stated.depth, found.types)
+        self._color = None if stated.color is None else _Receiver(listener, stated.color, found.types)
         self._waiter = Waiter(listener, [stream.reader for stream in (self._depth, self._color) if stream is not None])
         self._number, self._last_s = 0, 0.0
         super().__init__(info, role, stated.calibration, self._wait_for_rate_hz(info))
 
     def _wait_for_rate_hz(self, info: DeviceInfo) -> float:
         """Return the rate of the first depth images by their stamps."""
-        depth = self._depth
+        depth, name = self._depth, self._depth.stream.topic.name
         end_s = time.monotonic() + _OPENING_S
         while len(depth.waiting) < _TIMED:
             self._waiter.wait(0.05)
             depth.take()
             if time.monotonic() > end_s:
                 if not depth.reader.entity.get_matched_publications():
-                    raise SourceError(f"nobody publishes {depth.name}; start the camera's ROS 2 driver")
+                    raise SourceError(f"nobody publishes {name}; start the camera's ROS 2 driver")
                 raise SourceError(
                     f"the {info.title} has not started within {_OPENING_S:g} s: {len(depth.waiting)} images have come"
                 )
         stamps_s = np.array([message.stamp_s for message in depth.waiting])
         if not stamps_s.any():
-            raise SourceError(f"the images on {depth.name} have no time stamps in their headers")
+            raise SourceError(f"the images on {name} have no time stamps in their headers")
         depth.waiting.clear()
         return round(1 / period_s(stamps_s), 1)
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -143,14 +143,25 @@ def _paths(text: str) -> tuple[Path, ...]:
     return recording_files(text) or (user_path(text),)
 
 
+class Stream(NamedTuple):
+    """A topic of images and their lens."""
+
+    topic: ImageTopic
+    lens: Lens
+
+    def pixels(self, message: Any, *, copy: bool = True) -> AnyArray:
+        """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3); without ``copy`` maybe memory that is read only."""
+        image, shape = RawImage.of(message), (self.topic.height, self.topic.width)
+        is_depth = self.topic.kind == "depth"
+        return self.lens.rectify(image.depth(shape, copy=copy) if is_depth else image.color(shape, copy=copy))
+
+
 @dataclass(frozen=True, eq=False)
 class StatedCamera:
     """One camera as its topics state it; a colour that cannot be used is left out."""
 
-    depth: ImageTopic
-    lens: Lens
-    color: ImageTopic | None
-    color_lens: Lens | None
+    depth: Stream
+    color: Stream | None
     calibration: Calibration
 
 
@@ -190,7 +201,7 @@ def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, s
         if unread:
             lacks.append(f"only one camera is shown, since no depth comes on {', '.join(unread)} that can be read")
         return StatedRig(cameras, None, lacks, unread)
-    frame, other = (camera.depth.frame for camera in cameras.values())
+    frame, other = (camera.depth.topic.frame for camera in cameras.values())
     pose, first, second = frames.pose(frame, other), foreign(frame, 60), foreign(other, 60)
     if pose is None:
         lacks.append(f"no fixed transforms join the cameras' frames {first!r} and {second!r}: calibrate the alignment")
@@ -228,10 +239,10 @@ def _stated_camera(
         try:
             color_lens, pose = _color(bag, frames, color, depth, lens)
             calibration = Calibration(calibration.depth, color_lens.intrinsics, camera_pose(pose))
-            return StatedCamera(depth, lens, color, color_lens, calibration)
+            return StatedCamera(Stream(depth, lens), Stream(color, color_lens), calibration)
         except (GapError, ValueError) as gap:
             lacks.append(f"the {role} colour is left out: {gap}")
-    return StatedCamera(depth, lens, None, None, calibration)
+    return StatedCamera(Stream(depth, lens), None, calibration)
 
 
 def _color(bag: Bag, frames: Frames, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
@@ -298,16 +309,16 @@ class RosSource(RecordedSource):
             ) from gap
 
     def _camera(self, role: CameraRole, stated: StatedCamera) -> RecordedCamera:
-        times_s = self._stamps_s(stated.depth.name)
+        times_s = self._stamps_s(stated.depth.topic.name)
         color, partners = None, np.empty(0, np.int64)
-        if stated.color is not None and stated.color_lens is not None:
-            color_s = self._stamps_s(stated.color.name)
+        if stated.color is not None:
+            color_s = self._stamps_s(stated.color.topic.name)
             farthest_s = period_s(color_s) / 2
             partners = nearest_within(times_s, color_s, farthest_s)
             if missing := int((partners < 0).sum()):
                 self._lacks.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
-            color = partial(self._read, stated.color, stated.color_lens)
-        depth = partial(self._read, stated.depth, stated.lens)
+            color = partial(self._read, stated.color)
+        depth = partial(self._read, stated.depth)
         return RecordedCamera(self._path, stated.calibration, 1 / period_s(times_s), times_s, depth, color, partners)
 
     def _stamps_s(self, topic: str) -> Float64Array:
@@ -317,7 +328,5 @@ class RosSource(RecordedSource):
         self._lacks.append(f"the images on {topic} have no time stamps in their headers: the recorder's are used")
         return np.asarray(self._bag.times_ns(topic) * 1e-9, np.float64)
 
-    def _read(self, topic: ImageTopic, lens: Lens, index: int) -> AnyArray:
-        """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3)."""
-        image, shape = RawImage.of(self._bag.message(topic.name, index)), (topic.height, topic.width)
-        return lens.rectify(image.depth(shape) if topic.kind == "depth" else image.color(shape))
+    def _read(self, stream: Stream, index: int) -> AnyArray:
+        return stream.pixels(self._bag.message(stream.topic.name, index))

@@ -147,7 +147,6 @@ class MembraneState:
     #: (N,): signed distance of the surface to the object.
     gap_m: Float64Array
     pressure_pa: float  # absolute
-    volume_m3: float  # dead volume included
     #: Largest unbalanced nodal force over the gauge pressure's force on a mean node.
     residual: float
 
@@ -490,7 +489,7 @@ class Membrane:
                 break
             share /= 2
         volume = _forces(nodes, sheet, np.empty_like(nodes), np.empty_like(nodes)) + self.design.dead_volume_m3
-        return MembraneState(nodes, reaction, gap, float(self._gas_joule / volume), float(volume), float(residual))
+        return MembraneState(nodes, reaction, gap, float(self._gas_joule / volume), float(residual))
 
     def _curvature(self, nodes: Float64Array) -> float:
         """Estimate the largest eigenvalue of the energy's Hessian by power iteration, warm from call to call."""

@@ -85,7 +85,7 @@ def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, floa
     return rigid_transform(pose_matrix(turn(degrees), translation_m))
 
 
-def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
+def cameras(rig: Rig) -> tuple[Camera, Camera, Camera]:
     """Return proximity, tactile and colour cameras in the membrane's frame, centred between the first two."""
     assert rig.proximity_color is not None
     assert rig.T_proximity_tactile is not None
@@ -140,7 +140,7 @@ class Press:
     def __init__(self, scene: Scene, membrane: Membrane, rig: Rig) -> None:
         self.pressed, self.scene = scene.pressed, scene
         self.membrane = membrane
-        self._cameras = cameras(rig, membrane.design)
+        self._cameras = cameras(rig)
         design = membrane.design
         self._sheet = paint_sheet(design.width_m, design.height_m, scene.print)
         #: From 4096 linear levels to 8-bit display values.
