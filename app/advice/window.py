@@ -295,8 +295,8 @@ class SuggestWindow(QDialog):
 
 
 def _refusal(section: str, sentence: str) -> QWidget:
-    why = sentence.removeprefix(f"{section}: ").rstrip(".")
-    return wrapped_label(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.", selectable=True)
+    why = as_sentence(sentence.removeprefix(f"{section}: "))
+    return wrapped_label(f"{section_title(section)}: no suggestion. {why}", selectable=True)
 
 
 class SuggestControl(QObject):

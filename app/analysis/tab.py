@@ -65,7 +65,7 @@ class LiveTab(AnalysisTab):
 
     def __init__(self, context: Context) -> None:
         super().__init__()
-        self.context, self.settings = context, context.settings
+        self.context = context
         self.result: Result | None = None
         #: The rows of the source's frames by frame number, the newest last.
         self.rows: dict[int, Row] = {}

@@ -15,7 +15,7 @@ from PyQt6.QtCore import QObject, QProcess, Qt, pyqtSignal
 from PyQt6.QtWidgets import QCheckBox, QFormLayout, QLabel, QSpinBox, QWidget
 
 from ...core.contact.kernels.threads import available_threads
-from ...core.errors import PresetError, TactuneError, counted, minus
+from ...core.errors import PresetError, TactuneError, as_sentence, counted, minus
 from ...core.preset import Preset
 from ...core.preset.file import save_preset
 from ...core.tuning.plan import Axis, default_axes
@@ -156,7 +156,7 @@ class TuneRun(QObject):
         well = status in (0, _STOPPED) or self.stopping
         unsaid = f"the search was ended (status {status}); its trials are kept, Start continues"
         last = said[-1].removeprefix("tactune: ") if said else unsaid
-        self.ended.emit("" if well else f"{last[:1].upper()}{last[1:]}.")
+        self.ended.emit("" if well else as_sentence(last))
 
 
 def frames_of(trim: Sequence[int] | None, length: int, count: int, index: int, has_truth: bool) -> range:

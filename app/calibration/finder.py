@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QComboBox, QSpinBox, QWidget
 
 from ...core.calibration.detect import detect_chessboard
 from ...core.calibration.texture import match_texture
-from ...core.errors import CalibrationError, counted
+from ...core.errors import CalibrationError, as_sentence, counted
 from ...core.model.alignment import PointPair
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import ElidedLabel, caption, named, push_button
@@ -159,7 +159,7 @@ class Finder(QWidget):
         self._say(words + (f" {known} of them were pairs already." if known else ""))
 
     def _failed(self, sentence: str) -> None:
-        self._say(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; no pairs were added.")
+        self._say(as_sentence(sentence) if sentence else "Cancelled; no pairs were added.")
 
     def _say(self, words: str) -> None:
         self.words.setText(words)

@@ -208,17 +208,13 @@ def check_drivers(run: RunChild = run_child) -> list[Check]:
     version, problem, no_l515 = (str(answer.get(key, "")) for key in ("version", "problem", "no_l515"))
     if problem:
         words, _, remedy = problem.rpartition(": ")
-        line = Check(name, State.FAIL if version else State.WARN, words, _capital(remedy))
+        line = Check(name, State.FAIL if version else State.WARN, words, as_sentence(remedy))
     elif no_l515:
-        line = Check(name, State.WARN, f"pyrealsense2 {version}", f"{_capital(no_l515)}.")
+        line = Check(name, State.WARN, f"pyrealsense2 {version}", as_sentence(no_l515))
     else:
         line = Check(name, State.OK, f"pyrealsense2 {version}, with support for L515 and D405")
     others = [other.rpartition("; ") for other in answer.get("others", [])]
-    return [line, *(Check(name, State.FAIL, words, f"{_capital(remedy)}.") for words, _, remedy in others)]
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
+    return [line, *(Check(name, State.FAIL, words, as_sentence(remedy)) for words, _, remedy in others)]
 
 
 def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:

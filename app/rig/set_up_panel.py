@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
 from functools import partial
 from typing import Final
 
@@ -22,13 +21,13 @@ from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..calibration.measuring_step import OTHER_SOURCE, MeasuringStep
 from ..context import Context
+from ..sources.cameras_page import CAMERAS
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
 from .set_up_steps import AlignmentStep, BiasStep, NoiseStep, SuggestStep, VerdictStep
 from .untouched import UntouchedStep
 
 _LEFT_OUT: Final = "Left out: this rig has one camera."
-_CAMERAS: Final = "cameras:"
 
 
 def _captured(preset: Preset) -> str:
@@ -63,7 +62,7 @@ def _unbiased(preset: Preset) -> str:
 
 
 def _suggested(preset: Preset) -> str:
-    return "" if preset.suggested is None else f"Suggestions taken over, {_day(preset.suggested)}."
+    return "" if preset.suggested is None else f"Suggestions taken over, {preset.suggested.astimezone():%Y-%m-%d}."
 
 
 def _judged(preset: Preset) -> str:
@@ -73,10 +72,6 @@ def _judged(preset: Preset) -> str:
     links = sorted(verdict.links_mm.items(), key=lambda link: -link[1])
     shares = ", ".join(f"{link} {error_mm:.1f}" for link, error_mm in links)
     return f"Off by {verdict.error_mm:.1f} mm: {shares}."
-
-
-def _day(moment: datetime) -> str:
-    return f"{moment.astimezone():%Y-%m-%d}"
 
 
 def _find_rest(name: str, progress: Progress) -> int:
@@ -283,7 +278,7 @@ class SetUpPanel(QWidget):
             self.running = False
         elif row.work is None:
             self._waiting = True  # for the first frame
-            self._context.sourceRequested.emit(_CAMERAS)
+            self._context.sourceRequested.emit(CAMERAS)
         elif row not in (self.untouched, self.noise) or self._at_rest(self._info):
             row.work.begin()
         self._show()

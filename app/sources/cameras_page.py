@@ -68,7 +68,7 @@ class CamerasPage(SourcePage):
         form.addRow(caption("&Tactile camera", self.tactile), self.tactile)
         vbox((self.list, 1), hbox(self.refresh, self.topics, STRETCH), form, within=self, margins=8)
         self.refresh.clicked.connect(self._look)
-        self.topics.clicked.connect(self._open_topics)
+        self.topics.clicked.connect(lambda: self._open(_ROS2))
         self.proximity.currentIndexChanged.connect(self._check)
         self.tactile.currentIndexChanged.connect(self._check)
         self.list.activated.connect(lambda _: self.activated.emit())
@@ -95,10 +95,6 @@ class CamerasPage(SourcePage):
         there = bool(self.list.records())
         self.empty.set_text("" if there else note)
         super()._choose(name, note if there else "")
-
-    def _open_topics(self) -> None:
-        self._choose(_ROS2)
-        self.activated.emit()
 
     def _look(self) -> None:
         self._has_searched = True

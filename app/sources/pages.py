@@ -82,6 +82,10 @@ class SourcePage(QWidget):
         self.name, self.note = name, note
         self.changed.emit()
 
+    def _open(self, name: str) -> None:
+        self._choose(name)
+        self.activated.emit()
+
 
 class FilesPage(SourcePage):
     """Asks for a file or folder, and lists the recent sources that are still there, newest first."""
@@ -110,24 +114,18 @@ class FilesPage(SourcePage):
         self.folder.clicked.connect(
             lambda: self._dialogs.open_folder("source", "Open a recorded folder", lambda path: self._chosen([path]))
         )
-        self.simulator.clicked.connect(self._open_simulator)
+        self.simulator.clicked.connect(lambda: self._open(_SIMULATOR))
 
     def come_up(self) -> None:
         if self.list.currentItem() is None:
             self.list.setCurrentRow(0)
         self._selected(self.list.currentItem())
 
-    def _open_simulator(self) -> None:
-        self._choose(_SIMULATOR)
-        self.activated.emit()
-
     def _selected(self, item: QListWidgetItem | None) -> None:
         self._choose("" if item is None else item.text())
 
     def _chosen(self, paths: list[Path]) -> None:
         try:
-            self._choose(recording_name(paths))
+            self._open(recording_name(paths))
         except SourceError as error:
             self._choose("", str(error))
-        else:
-            self.activated.emit()

@@ -181,9 +181,6 @@ class Actions:
                 action.setEnabled(two)
                 action.setToolTip(_tip(row) if two else ONE_CAMERA)
 
-    def all(self) -> list[QAction]:
-        return list(self._actions.values())
-
     def by_name(self) -> dict[str, QAction]:
         return dict(self._actions)
 

@@ -27,11 +27,10 @@ from ..worker.results import ComparedFrame, Pace
 from .actions import Actions
 from .files import PRESET_FILTER
 from .frame_presenter import FramePresenter
+from .status import INTERVAL_S
 
 #: Share of the width by which a key moves the wipe.
 STEP: Final = 0.05
-#: Interval between updates of the numbers while frames play, in seconds.
-INTERVAL_S: Final = 0.2
 #: Number of frames from which times are compared.
 LEAST_TIMED: Final = 5
 

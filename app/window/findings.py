@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction
@@ -31,15 +30,8 @@ RAIL_PX = 112
 _MARGINS = 8, 4, 8, 4
 _NOTHING = "Nothing is wrong with this frame."
 _NO_FRAME = "No patch was examined yet."
-
-
-@dataclass(frozen=True)
-class ShownFinding:
-    """A finding as it is shown: the sentence, and text and tooltip of its button; without a text there is none."""
-
-    sentence: str
-    button: str = ""
-    tip: str = ""
+#: A finding, and text and tooltip of the button that mends it; without a text there is none.
+_Shown = tuple[Finding, str, str]
 
 
 class FindingsRail(QWidget):
@@ -60,10 +52,10 @@ class FindingsRail(QWidget):
         self.setAccessibleName("Findings")
         self.show_findings((), examined=False)
 
-    def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
+    def show_findings(self, findings: Sequence[_Shown], examined: bool) -> None:
         self.title.setText(f"Findings: {len(findings)}" if findings else "No findings" if examined else "Findings")
         empty(self._cards)
-        cards: list[QWidget] = [self._card(finding, shown) for finding, shown in findings]
+        cards: list[QWidget] = [self._card(*shown) for shown in findings]
         for card in cards or [NoteLabel(_NOTHING if examined else _NO_FRAME)]:
             self._cards.addWidget(card)
             card.show()  # at once, so that the list is never painted empty
@@ -77,14 +69,14 @@ class FindingsRail(QWidget):
         button = next(iter(self._area.findChildren(QPushButton)), None)
         (button or self._area).setFocus(Qt.FocusReason.ShortcutFocusReason)
 
-    def _card(self, finding: Finding, shown: ShownFinding) -> QWidget:
+    def _card(self, finding: Finding, mends: str, tip: str) -> QWidget:
         card, said = QWidget(), NoteLabel(finding.sentence)
         said.tint("warning")
         column = vbox(said, within=card, margins=0, spacing=4)
         if finding.proposal is not None:
             said.setToolTip(f"{finding.proposal.evidence}\n{finding.proposal.expected}")
-        if shown.button:
-            button = push_button(shown.button, shown.tip)
+        if mends:
+            button = push_button(mends, tip)
             button.clicked.connect(lambda: self.mend(finding))
             column.addLayout(hbox(button, STRETCH))
         return card
@@ -114,15 +106,12 @@ class FindingsControl(QObject):
         offer = self._view.notice.button
         offer.clicked.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
 
-    def _in_words(self, finding: Finding) -> ShownFinding:
-        """Return a finding with text and tooltip of the button that mends it."""
-        proposal, action = finding.proposal, self._action(finding.action)
-        if proposal is not None:
-            tip = f"{proposal.evidence}\n{proposal.expected}\nCtrl+Z undoes it."
-            return ShownFinding(finding.sentence, proposal.label, tip)
-        if action is None:
-            return ShownFinding(finding.sentence)
-        return ShownFinding(finding.sentence, plain_text(action), action.toolTip())
+    def _button(self, finding: Finding | None) -> tuple[str, str]:
+        """Return text and tooltip of the button that mends a finding; empty texts if nothing does."""
+        if finding is not None and (proposal := finding.proposal) is not None:
+            return proposal.label, f"{proposal.evidence}\n{proposal.expected}\nCtrl+Z undoes it."
+        action = None if finding is None else self._action(finding.action)
+        return ("", "") if action is None else (plain_text(action), action.toolTip())
 
     def mend(self, finding: Finding) -> None:
         """Apply the proposal of a finding as one undo step, or trigger its action."""
@@ -167,11 +156,11 @@ class FindingsControl(QObject):
         self._show()
 
     def _show(self) -> None:
-        findings = [(finding, self._in_words(finding)) for finding in self._shown.values()]
+        findings = [(finding, *self._button(finding)) for finding in self._shown.values()]
         rows: dict[str, str] = {}
-        for finding, shown in findings:  # the first of a field: causes come before consequences
-            rows.setdefault(finding.field, shown.sentence)
-        findings += [(Finding(said, "", said), ShownFinding(said)) for said in self._warnings]  # without a button
+        for finding in self._shown.values():  # the first of a field: causes come before consequences
+            rows.setdefault(finding.field, finding.sentence)
+        findings += [(Finding(said, "", said), "", "") for said in self._warnings]
         self._panel.show_findings(rows)
         result = self._context.result
         self._judged = self._preset is not None and result is not None and result.patch is not None
@@ -194,5 +183,4 @@ class FindingsControl(QObject):
         elif result.rendered.no_contact_action:
             rendered = result.rendered
             self._offered = Finding("no_contact", "", rendered.no_contact, action=rendered.no_contact_action)
-        offer = ShownFinding("") if self._offered is None else self._in_words(self._offered)
-        self._view.notice.offer(offer.button, offer.tip)
+        self._view.notice.offer(*self._button(self._offered))

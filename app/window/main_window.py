@@ -183,7 +183,7 @@ class MainWindow(QMainWindow):
 
     def _found_by_name(self) -> list[Entry]:
         """Return what the search finds: the actions of menus and analyses, and the parameters."""
-        actions = [*self.actions_.all(), *self.analysis.actions.values()]
+        actions = [*self.actions_.by_name().values(), *self.analysis.actions.values()]
         chosen = [("Theme: ", self.menus.themes), ("Speed: ", self.menus.speeds)]
         found = [of_action(plain_text(action), action) for action in actions]
         found += [of_action(before + plain_text(entry), entry) for before, group in chosen for entry in group.actions()]

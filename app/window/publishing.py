@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLineEdit, QPushButton, QSpinBox, QWidget
 
-from ...core.errors import counted
+from ...core.errors import as_sentence, counted
 from ...core.output.connections import LOOPBACK, Connections
 from ...widgets.basics.controls import NoteLabel, caption, choice_button, timer
 from ...widgets.basics.layouts import vbox
@@ -97,7 +97,7 @@ class PublishPanel(QWidget):
             todo = f"Start publishing sends patches to {to}" if to else "Tick Foxglove or ROS 2"
             self.state.say(f"Nothing is published. {todo}.")
         warning = self.connections.warning
-        self.note.say(f"{warning[0].upper()}{warning[1:]}." if warning else "")
+        self.note.say(as_sentence(warning) if warning else "")
 
 
 class PublishControl(QObject):
@@ -111,9 +111,9 @@ class PublishControl(QObject):
         self.panel = PublishPanel()
         self.panel.show_connections(self._remembered())
         panel = self.panel
-        for edited in (panel.foxglove.toggled, panel.ros2.toggled, panel.port.valueChanged, panel.domain.valueChanged):
+        chosen = panel.foxglove.toggled, panel.ros2.toggled
+        for edited in (*chosen, panel.port.valueChanged, panel.domain.valueChanged, panel.namespace.textChanged):
             edited.connect(self._remember)
-        panel.namespace.textChanged.connect(self._remember)
         self._timer = timer(self, _INTERVAL_MS, self._show)
         self.panel.start.clicked.connect(self._switch)
         self._starting = Job(self)  # ROS 2 takes most of a second

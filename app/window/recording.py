@@ -16,7 +16,7 @@ from PyQt6.QtCore import QLocale, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QFrame
 
-from ...core.errors import counted
+from ...core.errors import as_sentence, counted
 from ...core.output.writer import RecordingStatus
 from ...widgets.basics.controls import ElidedLabel, TintedLabel, keep_place, number_label, timer
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -172,7 +172,7 @@ class RecordingBar(QFrame):
             frames = counted(status.frames, "frame")
             sentence = f"Recorded {status.path.name}: {clock(status.seconds)}, {frames}, {size(status.bytes)}."
             if status.error:
-                sentence += f" {status.error[0].upper()}{status.error[1:]}."
+                sentence += f" {as_sentence(status.error)}"
             offers = [
                 ("Open recording", lambda: self._context.sourceRequested.emit(name)),
                 ("Show in folder", partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(status.path.parent)))),

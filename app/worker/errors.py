@@ -9,7 +9,7 @@ from types import TracebackType
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.errors import TactuneError
+from ...core.errors import TactuneError, as_sentence
 
 ExceptionHook = Callable[[type[BaseException], BaseException, TracebackType | None], object]
 
@@ -63,4 +63,4 @@ def explain(error: Exception, what: str) -> str:
     """Return an error as one sentence: the message of a `TactuneError`, else ``what`` failed and the error."""
     if isinstance(error, TactuneError):
         return str(error)
-    return f"{what[0].upper()}{what[1:]} ({type(error).__name__}: {error})."
+    return as_sentence(f"{what} ({type(error).__name__}: {error})")

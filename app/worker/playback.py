@@ -24,10 +24,6 @@ class PlaybackState:
     def seekable(self) -> bool:
         return self.length is not None
 
-    @property
-    def at_end(self) -> bool:
-        return self.length is not None and self.index >= self.length - 1
-
 
 class Playback:
     """Paces a recording at its frame rate times a speed factor.
@@ -65,7 +61,7 @@ class Playback:
         """Continue; at the end of a recording, start from its beginning."""
         if self.length == 1:
             return
-        if not self.loop and self.state.at_end:
+        if self.length is not None and self.following_index() is None:
             self.index = -1
         self.playing = True
 

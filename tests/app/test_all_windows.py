@@ -167,7 +167,7 @@ def unreadable(shown):
 
 def unreachable(shown, window):
     missing = set()
-    by_menu = {action for action in window.actions_.all() if not action.shortcut().isEmpty()}
+    by_menu = {action for action in window.actions_.by_name().values() if not action.shortcut().isEmpty()}
     for widget in controls(shown):
         reached = bool(widget.focusPolicy() & Qt.FocusPolicy.TabFocus) or (
             isinstance(widget, QAbstractButton)

@@ -127,7 +127,7 @@ def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbo
 
 
 def test_every_shortcut_belongs_to_one_action(window):
-    keys = [shortcut.toString() for action in window.actions_.all() for shortcut in action.shortcuts()]
+    keys = [shortcut.toString() for action in window.actions_.by_name().values() for shortcut in action.shortcuts()]
     assert len(keys) == len(set(keys))
 
 

@@ -123,5 +123,5 @@ def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):
 def test_search_finds_every_action_and_every_parameter(window, qtbot):
     show_source(qtbot, window, FakeSource(), 3)
     names = [name for name, *_ in window._found_by_name()]
-    assert len(names) >= len(window.actions_.all()) + len(window.panel.rows)
+    assert len(names) >= len(window.actions_.by_name().values()) + len(window.panel.rows)
     assert len(names) == len(set(names)), "each name means one thing"
