@@ -1,1 +1,1 @@
-"""Opening a source: the dialogs *Open…* and *Create rig…*, the cameras and their settings."""
+"""Opening a source: the dialog *Open…*, topics of a recording, the rig of a folder, cameras and their settings."""

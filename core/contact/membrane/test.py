@@ -1,6 +1,6 @@
 """The membrane test: contact is where a membrane in equilibrium of tension and pressure touches the object.
 
-Its steps are in `steps`; `equilibrium` explains the physics, `bias` the bias between the cameras.
+Its steps are in `steps`; `equilibrium` explains the physics, `frame_bias` the bias between the cameras.
 """
 
 from __future__ import annotations

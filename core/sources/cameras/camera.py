@@ -1,6 +1,6 @@
 """The interface of camera drivers: a `CameraDriver` lists and opens devices, a `Camera` delivers images.
 
-Threads, pairing, reopening and all messages are shared by all makers: see `pairing` and `source`. A
+Threads, pairing, reopening and all messages are shared by all makers: see `pairing` and `camera_thread`. A
 package adds a driver by an entry point in the group ``tactune.cameras`` that names a subclass of `CameraDriver`;
 ``docs/guide/extending.md`` has an example.
 """
