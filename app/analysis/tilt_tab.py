@@ -54,7 +54,7 @@ class TiltTab(LiveTab):
         self.axis = wrapped_label(selectable=True)
         self.plot = Plot("Time, s", "Angle, degrees", movable=True)
         self.plot.setToolTip(
-            "Roll and pitch over the time stamps of the frames, with a band of one standard deviation. "
+            "Roll and pitch over the seconds since the first frame shown, with a band of one standard deviation. "
             "Drag to move, wheel to zoom; press A to show all again"
         )
         self.plot.setAccessibleName("Roll and pitch over time")
@@ -136,7 +136,7 @@ class TiltTab(LiveTab):
 
     def rows_changed(self) -> None:
         rows = sorted(list(self.rows.values())[-_PLOTTED:], key=lambda row: float(row[1]))
-        times = np.array([row[1] for row in rows])
+        times = np.array([row[1] - rows[0][1] for row in rows])  # live time stamps have ten digits
         first = self.COLUMNS.index("roll_deg")
         for place, (curve, ends) in enumerate(self._curves):
             at = first + 2 * place

@@ -198,5 +198,8 @@ def test_rows_are_exported(qtbot, window, tmp_path):
     with (tmp_path / "tilt.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["frame"] for row in rows] == ["3", "4"]
+    seconds, _ = tab.plot.getPlotItem().listDataItems()[0].getData()
+    assert seconds[0] == 0.0, "the plot counts from the first frame shown"
+    assert float(rows[1]["time_s"]) - float(rows[0]["time_s"]) == pytest.approx(seconds[1])
     assert float(rows[0]["roll_deg"]) == pytest.approx(math.degrees(first.roll_rad), abs=1e-3)
     assert float(rows[1]["roll_sigma_deg"]) > 0
