@@ -109,7 +109,7 @@ class MeasuringStep(QWidget):
     def doing(self) -> str:
         """What to do while frames are taken; what happens, if nobody can do anything."""
         if self.info is not None and self._simulated(self.info):
-            return "The simulator takes its object away"
+            return "Using frames without the object, made by the simulator"
         if self._job.busy and not self._preparing:
             return "Computing"
         return self.prompt if self.info is None or self.info.length is None else self.recorded

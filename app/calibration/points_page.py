@@ -68,7 +68,7 @@ class PointsPage(QWidget):
         tools = hbox(*shown, (self.finder, 1), spacing=8)
         self.views = QWidget()
         hbox(*((image, 1) for image in self.images.values()), within=self.views, margins=0, spacing=8)
-        self.split = splitter(Qt.Orientation.Vertical, (self.views, 1), self.table, sizes=(480, 170))
+        self.split = splitter(Qt.Orientation.Vertical, (self.views, 3), (self.table, 1), sizes=(480, 170))
         below = hbox((self.hint, 1), self.drop, self.load, self.store)
         vbox(tools, (self.split, 1), self.finder.words, below, within=self, margins=(8, 4, 8, 4), spacing=4)
         self._connect()
@@ -161,7 +161,7 @@ class PointsPage(QWidget):
         if elsewhere:
             return f"{counted(elsewhere, 'pair')} clicked in the other image of the left camera: not drawn here."
         if wrong := [pair.id for pair in state.pairs if pair.id in self._outcome.rejected]:
-            return f"The others contradict {', '.join(wrong[:9])}: drag their points, or remove these pairs."
+            return f"The others contradict {', '.join(wrong[:9])}: drag the points, or press Remove."
         start = "Click" if state.pairs else "Press Find points, or click"
         return (
             f"{start} a dot in one image, then the same dot in the other. Drag or arrow keys correct; Ctrl + click "

@@ -16,7 +16,7 @@ from ...core.calibration.points import read_points, write_points
 from ...core.calibration.report import CalibrationReport, grade
 from ...core.errors import TactuneError, counted
 from ...core.model.frames import Rig
-from ...widgets.basics.controls import action_button, choice_button, push_button, wrapped_label
+from ...widgets.basics.controls import NoteLabel, action_button, choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -65,8 +65,10 @@ class CalibrationWizard(QDialog):
         self._lay_out()
         self._connect()
         self.resize(1240, 760)
-        self._offer(self.keeper.restore())
+        kept_at = self.keeper.restore()
         self.go_to(1 if self.session.state.snapshots and not self._elsewhere() else 0)
+        if kept_at is not None:
+            self._say_restored(kept_at)
 
     # Building
 
@@ -100,9 +102,11 @@ class CalibrationWizard(QDialog):
         area = QWidget()
         vbox(self.stack, within=area, margins=0)
         self.messages = Messages(area, self._below_views)
+        self.restored = NoteLabel()
+        self.restored.hide()
         top = hbox(*buttons, STRETCH, self.over, self.undo, self.redo, spacing=4)
         footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
-        vbox(top, (area, 1), footer, within=self, margins=8, spacing=4)
+        vbox(top, self.restored, (area, 1), footer, within=self, margins=8, spacing=4)
 
     def _step_button(self, name: str, action: QAction | None, *keys: str) -> QToolButton:
         """Return the button of an action of the undo stack, whose tooltip says what it would do, with its key."""
@@ -161,6 +165,7 @@ class CalibrationWizard(QDialog):
         """Show a step."""
         number = max(0, min(number, len(STEPS) - 1))
         self.stack.setCurrentIndex(number)
+        self.restored.hide()
         self.messages.arrange()
         button = self.steps.button(number)
         assert button is not None
@@ -172,7 +177,6 @@ class CalibrationWizard(QDialog):
     def start_over(self) -> None:
         """Clear the session, as one undoable step."""
         self.session.edit("Start over", SessionState())
-        self.messages.clear("kept")
         self.go_to(0)
 
     def _elsewhere(self) -> bool:
@@ -180,18 +184,18 @@ class CalibrationWizard(QDialog):
         sources = self.session.state.sources
         return bool(sources) and self._context.source_name not in sources
 
-    def _offer(self, kept_at: datetime | None) -> None:
-        """Say what was restored, and where it is of another source, as its membrane may be another one too."""
-        if kept_at is None:
-            return
+    def _say_restored(self, kept_at: datetime) -> None:
+        """Say until the next step what was restored, and that it is of another source: so may be its membrane."""
         state, elsewhere = self.session.state, self._elsewhere()
         of = f" of {', '.join(state.sources)}" if state.sources else ""
-        held = f"{counted(len(state.pairs), 'pair')} and {counted(len(state.snapshots), 'snapshot')}"
+        half = " and one half" if state.pending is not None else ""
+        held = f"{counted(len(state.complete_pairs), 'pair')}{half}, {counted(len(state.snapshots), 'snapshot')}"
         words = f"Restored the calibration{of} from {kept_at.astimezone():%d %B, %H:%M}: {held}."
         if elsewhere:
             words += f" {self._context.source_name} is open now: take new snapshots, or start over."
-        severity = Severity.WARNING if elsewhere else Severity.INFO
-        self.messages.show_message("kept", severity, words, offers=[("Start over", self.start_over)])
+            self.restored.tint("warning")
+        self.restored.setText(words)
+        self.restored.show()
 
     def _show_outcome(self, outcome: Outcome) -> None:
         self.outcome, self._saved = outcome, False

@@ -176,7 +176,10 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     assert [snap.digest for snap in again.session.state.snapshots] == [snap.digest for snap in kept.snapshots]
     np.testing.assert_array_equal(again.session.state.snapshots[0].frame.tactile_depth, frames[0.2].tactile_depth)
     assert again.stack.currentIndex() == 1
-    assert any("Restored the calibration of tiny" in sentence for sentence in again.messages.sentences())
+    assert "Restored the calibration of tiny" in again.restored.text()
+    assert again.restored.text().endswith(": 0 pairs and one half, 1 snapshot.")
+    QTest.keyClick(again, Qt.Key.Key_1, CONTROL)
+    assert not again.restored.isVisible()
 
     press_button(again.over)
     assert again.session.state.empty
@@ -193,8 +196,8 @@ def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, fra
 
     again = open_wizard()
     assert again.stack.currentIndex() == 0, "the page on which snapshots of this source are taken"
-    sentence = again.messages.by_key["kept"].sentence
-    assert "calibration of tiny" in sentence and "other is open now" in sentence
+    sentence = again.restored.text()
+    assert again.restored.isVisible() and "calibration of tiny" in sentence and "other is open now" in sentence
     assert again.frames.list.item(0).text().endswith("tiny")
 
 
