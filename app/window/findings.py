@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWIDGETSIZE_MAX, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from ...core.contact.alignment import UNKNOWN_POSE
 from ...core.errors import as_sentence
@@ -24,8 +24,8 @@ from .view_area import ViewArea
 #: A finding that is gone stays on the screen for this long, milliseconds: it may come back with the next frame.
 LINGER_MS = 1000
 
-#: Smallest height of the rail, pixels.
-RAIL_PX = 112
+#: Smallest height of the rail, pixels; in a window lower than the second, only while it has findings or a message.
+RAIL_PX, LOW_PX = 112, 640
 
 _MARGINS = 8, 4, 8, 4
 _NOTHING = "Nothing is wrong with this frame."
@@ -48,12 +48,14 @@ class FindingsRail(QWidget):
         vbox(self._cards, STRETCH, within=content, margins=0)
         self._area = scrolling(content)
         self._column = vbox(self.title, (self._area, 1), within=self, margins=_MARGINS, spacing=4)
-        self.setMinimumHeight(RAIL_PX)
+        self._low = self._full = False
         self.setAccessibleName("Findings")
         self.show_findings((), examined=False)
 
     def show_findings(self, findings: Sequence[_Shown], examined: bool) -> None:
         self.title.setText(f"Findings: {len(findings)}" if findings else "No findings" if examined else "Findings")
+        self._full = bool(findings)
+        self._fit()
         empty(self._cards)
         cards: list[QWidget] = [self._card(*shown) for shown in findings]
         for card in cards or [NoteLabel(_NOTHING if examined else _NO_FRAME)]:
@@ -64,6 +66,19 @@ class FindingsRail(QWidget):
         """Let the list end above what covers the lower edge: the rest of a long finding can be scrolled to."""
         left, top, right, bottom = _MARGINS
         self._column.setContentsMargins(left, top, right, max(bottom, below_px))
+        self._fit()
+
+    def show_low(self, low: bool) -> None:
+        """Leave what the words do not need to the controls above, as in a low window."""
+        self._low = low
+        self._fit()
+
+    def _fit(self) -> None:
+        _, top, _, bottom = _MARGINS
+        words = 2 * self.fontMetrics().height() + top + 4 + bottom
+        only_words = self._low and not self._full and self._column.contentsMargins().bottom() == bottom
+        self.setMinimumHeight(words if only_words else RAIL_PX)
+        self.setMaximumHeight(words if only_words else QWIDGETSIZE_MAX)
 
     def focus_first(self) -> None:
         button = next(iter(self._area.findChildren(QPushButton)), None)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import cast
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
-from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
+from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
 from ...core.model.frames import Rig
@@ -49,7 +49,7 @@ from .actions import THEMES, Actions, make_menus, plain_text
 from .comparison import ComparisonPanel
 from .export import Export
 from .files import FileFlows
-from .findings import RAIL_PX, FindingsControl, FindingsRail
+from .findings import LOW_PX, RAIL_PX, FindingsControl, FindingsRail
 from .frame_presenter import FramePresenter
 from .help import open_guide, show_about
 from .modes import COLUMN_PX, Mode, ModeColumn, RunPanel
@@ -485,6 +485,10 @@ class MainWindow(QMainWindow):
         settings.set("view/color_by", self.views.colors.value)
         hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]
         settings.set("window/hidden", ",".join(hidden))
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        super().resizeEvent(event)
+        self.rail.show_low(self.height() < LOW_PX)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""

@@ -76,6 +76,10 @@ def test_the_rail_mends_and_nothing_moves(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
     assert window.document.preset.alignment.depth_offset_m == 0.0
     qtbot.waitUntil(lambda: found(window))
+    window.resize(window.minimumSize())
+    full = window.rail.height()
+    QTest.mouseClick(button(window.rail, "Depth offset +12.0 mm"), LEFT)
+    qtbot.waitUntil(lambda: window.rail.height() < full / 2)  # in a low window the controls get what it leaves
 
 
 def test_a_message_covers_no_finding(window, qtbot):

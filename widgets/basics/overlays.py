@@ -133,7 +133,7 @@ class WipeGrip(QObject):
 
 
 def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe) -> None:
-    """Paint the line with a grip, and each name in the outer corner of its side, elided to fit."""
+    """Paint the line with a grip, and in each side's outer corner its name, or its letter."""
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     x = room.left() + wipe.column(round(room.width()))
     if 0 < wipe.share < 1:
@@ -151,8 +151,9 @@ def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe) -> None:
         (right, wipe.right, Qt.AlignmentFlag.AlignRight),
     ):
         inner = side.adjusted(11, 7, -11, 0)
-        text = painter.fontMetrics().elidedText(name, Qt.TextElideMode.ElideRight, int(inner.width()))
-        if len(text) < 2:  # not even the first letter fits
+        metrics, letter = painter.fontMetrics(), name.partition(":")[0]
+        text = next((each for each in (name, letter) if metrics.horizontalAdvance(each) <= inner.width()), "")
+        if not text:
             continue
         words = painter.boundingRect(inner, corner | Qt.AlignmentFlag.AlignTop, text)
         painter.setPen(Qt.PenStyle.NoPen)
