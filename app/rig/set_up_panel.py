@@ -147,6 +147,7 @@ class SetUpPanel(QWidget):
         self.running = self._waiting = False
         self._again: set[StepRow] = set()
         self._chosen: StepRow | None = None
+        self._opening = ""  # name of the source that is being opened
         self._place: int | None = None  # in a recording, where nothing touches the membrane
         self._search = Job(self)
         self._search.done.connect(self._found_rest)
@@ -207,6 +208,8 @@ class SetUpPanel(QWidget):
                 row.work.ended.connect(self._step_ended)
                 row.work.start.clicked.connect(self._show)
         context.worker.opened.connect(self._opened)
+        context.worker.opening.connect(lambda name, *_: self._show_opening(name))
+        context.worker.openFailed.connect(lambda *_: self._show_opening(""))
         context.worker.openFailed.connect(lambda *_: self._go_on(False))
         context.frameShown.connect(lambda: self._go_on(True))
         document.presetChanged.connect(self._show)
@@ -340,6 +343,7 @@ class SetUpPanel(QWidget):
     def _opened(self, info: SourceInfo) -> None:
         """Begin again: what other cameras or another recording showed does not hold here."""
         self._info, self._again, self._chosen, self._place = info, set(), None, None
+        self._opening = ""
         self.press.clear()
         self._search.cancel()
         for row in self.rows:
@@ -349,6 +353,11 @@ class SetUpPanel(QWidget):
                 if row.work.sentence.text() != OTHER_SOURCE:
                     row.work.sentence.clear()
         self._show()
+
+    def _show_opening(self, name: str) -> None:
+        if name != self._opening:
+            self._opening = name
+            self._show()
 
     def _opened_source(self) -> str:
         info = self._info
@@ -367,7 +376,9 @@ class SetUpPanel(QWidget):
         self.start.setText("Stop" if self.running else "Set &up again" if following is None else "Set &up this rig")
         self.start.setEnabled(self.running or not busy)
         self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)
-        self.headline.setText(self._headline(following))
+        opening = f"Opening {self._opening}…" if self._opening and self._info is None else ""
+        self.source.state.setText(opening or self.source.state.text())
+        self.headline.setText(opening or self._headline(following))
         saves = following is None and self._context.document.dirty  # the next step is blue
         self.start.setDefault(following is not None)
         if self.save.property("primary") != saves:

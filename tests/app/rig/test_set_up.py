@@ -33,8 +33,11 @@ def marks(panel):
 
 def test_one_click_sets_up_the_simulated_rig(qtbot, set_up, tmp_path):
     window = set_up.window_
+    said = set()
+    window.worker.opening.connect(lambda *_: said.add(set_up.source.state.text()))
     window.open_source("sim:cup")
     qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
+    assert said == {"Opening sim:cup…"} and set_up.source.state.text() == "sim:cup, 90 frames."
     click(set_up.start)
     qtbot.waitUntil(lambda: not set_up.running, timeout=300_000)
     assert marks(set_up) == "✓" * len(set_up.rows), set_up.headline.text()
