@@ -64,19 +64,19 @@ class FrameDetails(QLabel):
         patch, runs = result.patch, result.playback.playing
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
-        times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "unchanged"
+        times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "not run again"
         points = "none" if patch is None else counted(len(patch.points), "point")
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
         doubt = result.doubt
         lines = (
-            f"Doubt: {', '.join(doubt.reasons) if doubt is not None and doubt.reasons else 'none known'}",
+            f"Doubts about contact: {'not judged' if doubt is None else ', '.join(doubt.reasons) or 'none'}",
             f"Patch: {points}",
             f"Drawn: {f'{shown_fps:.0f} fps' if runs else 'paused'}",
             f"Dropped: {result.dropped}, unmatched: {result.unmatched}",
             f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
             f"Reading: {result.read_ms:.1f} ms, drawing: {result.render_ms:.1f} ms",
-            f"Stages: {times}",
+            f"Contact test: {times}",
         )
         self.setText("\n".join(lines))
 
@@ -95,7 +95,8 @@ class FrameStatus(QStatusBar):
         self.state = _flat_button("Rates, dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
         self.state.setText("No source")
         self.addWidget(self.state)
-        self.readout = ElidedLabel()
+        self.readout = ElidedLabel()  # it has a tooltip of its own only while its end is cut off
+        self.setToolTip("dp: proximity distance in the tactile camera's frame, dt: tactile distance, both along z")
         self.addWidget(self.readout, 1)
         self.publishing = _flat_button("Connections to Foxglove and ROS 2: state, or end them (F8)")
         self.publishing.hide()

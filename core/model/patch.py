@@ -49,7 +49,7 @@ _EXPLANATIONS = {
     Provenance.OUTSIDE_RANGE: "Dropped: the proximity depth is outside the working range.",
     Provenance.NO_TACTILE_DEPTH: "Dropped: the tactile camera has no depth where this point would be.",
     Provenance.OUTSIDE_TOLERANCE: "Dropped: membrane and object are too far apart here.",
-    Provenance.MASKED: "Dropped: the colour is that of the membrane's prints, which reflect infrared.",
+    Provenance.MASKED: "Dropped: the colour lies in the mask's colour range (Tune > Mask).",
     Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest contact kept.",
     Provenance.CONTACT: "Kept: the membrane touches the object here.",

@@ -97,7 +97,7 @@ _OWN: Final = {
         SourceKind(
             "sim",
             "Simulator",
-            "sim:SCENE[?press=medium&membrane=NAME&sensor=NAME&seed=N&noise=X]",
+            "sim:SCENE",
             _open_simulator,
         ),
         SourceKind("folder", "Folder of images", "folder:PATH", _open_folder, "folder", "rig.json"),

@@ -252,7 +252,7 @@ def test_the_numbers_say_how_sure_the_patch_is_and_why(bar, result):
     values = [reading.value for reading in patch_readings(doubtful, 30.0)]
     assert values[:3] == ["300 mm²", "60 %", "±2.3 mm"]
     give(bar, doubtful)
-    assert "Doubt: no dent" in bar.details.text()
+    assert "Doubts about contact: no dent" in bar.details.text()
 
 
 def test_the_state_is_said_in_a_word_or_two(bar):

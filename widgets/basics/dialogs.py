@@ -48,7 +48,7 @@ class Dialogs:
 
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
         """Ask whether to save or discard changes; Cancel calls nothing."""
-        box = self._box("Unsaved changes", f"Save the changes to “{name}”?", "Without saving, they are lost.")
+        box = self._box("Not saved", f"Save the changes to “{name}”?", "Without saving, they are lost.")
         saving = box.addButton(QMessageBox.StandardButton.Save)
         discarding = box.addButton(QMessageBox.StandardButton.Discard)
         box.setDefaultButton(saving)

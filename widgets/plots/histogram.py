@@ -83,6 +83,7 @@ class LimitHistogram(QWidget):
         self._caption = pg.TextItem(quantity.caption, anchor=(0, 0) if quantity.symmetric else (1, 0))
         box = plot.getViewBox()
         self._caption.setParentItem(box)
+        self._caption.setZValue(1e6)  # above the lines, which would strike it out
         # in the corner away from the tallest bars
         box.sigResized.connect(lambda: self._caption.setPos(2 if quantity.symmetric else box.width() - 2, 0))
         self._place_lines()
@@ -154,6 +155,7 @@ class LimitHistogram(QWidget):
 
     def _recolor(self, colors: ThemeColors) -> None:
         self._caption.setColor(colors.muted)
+        self._caption.fill = pg.mkBrush(colors.base)
         for curve, value in ((self._outside, colors.outside), (self._inside, colors.accent)):
             curve.setPen(None)
             curve.setBrush(QColor(value))

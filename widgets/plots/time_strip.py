@@ -157,6 +157,9 @@ class TimeStrip(QWidget):
         for number, curve in enumerate(CURVES):
             box.addItem(f"{curve.title}, {curve.unit}" if curve.unit else curve.title, curve.key)
             box.setItemData(number, curve.tip, Qt.ItemDataRole.ToolTipRole)
+        if (view := box.view()) is not None:  # else the list is as narrow as the name chosen, and cuts longer ones
+            longest = max((box.itemText(number) for number in range(len(CURVES))), key=len)
+            view.setMinimumWidth(self.fontMetrics().horizontalAdvance(longest) + 16)
         box.currentIndexChanged.connect(lambda _: self._choose())
         return box
 
