@@ -252,13 +252,11 @@ def _units(text: str | None) -> dict[str, float]:
     parts = dict(part.partition("=")[::2] for part in both.split(","))
     units: dict[str, float] = {}
     for role, value in parts.items():
-        match = re.fullmatch(r"(?:1/)?([0-9.]+(?:[eE][-+]?[0-9]+)?)", value.strip())
+        above, _, below = value.partition("/")
         try:
-            unit_m = _UNITS[value.strip()] if match is None else float(match[1])
-        except (KeyError, ValueError):
+            unit_m = _UNITS.get(value.strip()) or float(above) / float(below or 1)
+        except (ValueError, ZeroDivisionError):
             unit_m = 0.0
-        if value.strip().startswith("1/") and unit_m:
-            unit_m = 1 / unit_m
         if role.strip() not in ("proximity", "tactile") or not 1e-7 <= unit_m <= 1:
             raise CalibrationError(
                 f"the unit (--unit) is {foreign(text, 60)!r}; write mm, metres per count such as 0.00025 "

@@ -9,7 +9,6 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Collection
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple, get_args
 from urllib.parse import parse_qsl, urlencode
@@ -242,23 +241,18 @@ _CHOICES: Final[dict[str, Collection[str]]] = {
 _LARGEST: Final = {"gap": 100.0, "seed": 9_999_999_999, "noise": 100.0}
 
 
-def _texts(scene: str, variant: Variant, sensor: str, seed: int, noise: float, cameras: str) -> dict[str, str]:
-    """Return the value of each field of a name as text."""
-    return {
-        "scene": scene, "press": variant.press, "move": variant.move, "side": variant.side,
-        "gap": f"{variant.gap_mm:g}", "membrane": variant.membrane, "grid": variant.grid,
-        "sensor": sensor, "seed": str(seed), "noise": f"{noise:g}", "cameras": cameras,
-    }  # fmt: skip
-
-
-_DEFAULTS: Final = _texts("cup", Variant(), DEFAULT_SENSOR, 0, 1.0, "two")
+_DEFAULTS: Final[dict[str, Any]] = {
+    "press": "", "move": "", "side": "right", "gap": 0.0, "membrane": STANDARD, "grid": "droplets",
+    "sensor": DEFAULT_SENSOR, "seed": 0, "noise": 1.0, "cameras": "two",
+}  # fmt: skip
 
 
 def write_name(scene: str, variant: Variant, sensor: str, seed: int, noise: float, cameras: str) -> str:
     """Return the name of a source; values that are the default are left out."""
-    values = _texts(scene, variant, sensor, seed, noise, cameras)
-    query = urlencode({key: values[key] for key in _DEFAULTS if key != "scene" and values[key] != _DEFAULTS[key]})
-    return f"sim:{scene}" + (f"?{query}" if query else "")
+    others = {"gap": variant.gap_mm, "sensor": sensor, "seed": seed, "noise": noise, "cameras": cameras}
+    changed = {key: value for key, value in (vars(variant) | others).items() if value != _DEFAULTS.get(key, value)}
+    texts = {key: f"{value:g}" if isinstance(value, float) else value for key, value in changed.items()}
+    return f"sim:{scene}" + (f"?{urlencode(texts)}" if texts else "")
 
 
 def read_name(rest: str) -> dict[str, Any]:
@@ -269,25 +263,23 @@ def read_name(rest: str) -> dict[str, Any]:
     except ValueError as error:
         raise SourceError(f"{name}: {foreign(query, 80)!r} are no options; write them as seed=3&noise=0.5") from error
     for key in given:
-        if key not in _DEFAULTS or key == "scene":
-            options = ", ".join(option for option in _DEFAULTS if option != "scene")
-            raise SourceError(f"{name}: the simulator has no option {foreign(key, 80)!r}; known are {options}")
-    values: dict[str, Any] = _DEFAULTS | given | {"scene": scene or _DEFAULTS["scene"]}
+        if key not in _DEFAULTS:
+            known = ", ".join(_DEFAULTS)
+            raise SourceError(f"{name}: the simulator has no option {foreign(key, 80)!r}; known are {known}")
+    values: dict[str, Any] = _DEFAULTS | given | {"scene": scene or "cup"}
     for key, choices in _CHOICES.items():
         if values[key] not in choices or given.get(key) == "":
             known = ", ".join(filter(None, choices))
             raise SourceError(f"{name}: {key} is {foreign(values[key], 80)!r}; choose one of {known}")
-    numbers = dict.fromkeys(_LARGEST, -1.0)
     for key, largest in _LARGEST.items():
-        whole = key == "seed"
-        with suppress(ValueError):
-            numbers[key] = int(values[key]) if whole else float(values[key])
-        if not 0.0 <= numbers[key] <= largest:
-            kind = "whole number" if whole else "number"
-            raise SourceError(
-                f"{name}: {key} is {foreign(values[key], 80)!r}; it must be a {kind} from 0 to {largest:,.0f}"
-            )
-    chosen = {key: values[key] for key in ("press", "move", "side", "membrane", "grid")}
-    variant = Variant(gap_mm=numbers.pop("gap"), **chosen)
+        kind, text = type(_DEFAULTS[key]), values[key]
+        try:
+            values[key] = kind(text)
+        except ValueError:
+            values[key] = math.nan
+        if not 0 <= values[key] <= largest:
+            number = "whole number" if kind is int else "number"
+            raise SourceError(f"{name}: {key} is {foreign(text, 80)!r}; it must be a {number} from 0 to {largest:,.0f}")
+    variant = Variant(gap_mm=values.pop("gap"), **{key: values.pop(key) for key in vars(Variant()) if key in values})
     resolve_scene(values["scene"], variant)
-    return {key: values[key] for key in ("scene", "sensor", "cameras")} | {"variant": variant} | numbers
+    return values | {"variant": variant}
