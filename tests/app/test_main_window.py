@@ -71,6 +71,7 @@ def test_the_layout_is_remembered(make_window):
     window.panel.set_collapsed_sections(["mask"])
     window.views.choose_colors(ColorBy.PROVENANCE)
     window.views.point_size.setValue(5)
+    QTest.keyClick(window, Qt.Key.Key_3, Qt.KeyboardModifier.ControlModifier)
     window.close()
     again = make_window(size=(1500, 900))
     assert again.views.views[CloudName.TACTILE].isHidden()
@@ -78,6 +79,7 @@ def test_the_layout_is_remembered(make_window):
     assert again.panel.collapsed_sections() == ["mask"]
     assert again.views.colors is ColorBy.PROVENANCE
     assert again.views.point_size.value() == 5
+    assert again.actions_.run.isChecked()
 
 
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):

@@ -72,14 +72,6 @@ def test_what_can_be_exported_is_found_by_its_kind(window, qtbot):
     dialog.reject()
 
 
-def test_the_mode_is_remembered(make_window, qtbot):
-    window = make_window()
-    QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
-    window.close()
-    again = make_window()
-    assert again.modes.mode is Mode.RUN
-
-
 def test_the_next_step_has_its_button(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_3, CONTROL)
     assert window.modes.button.defaultAction() is window.actions_.export
