@@ -67,14 +67,14 @@ class McapSource(RecordedSource):
         with ExitStack() as resources:
             self._bag = McapBag(self._path, progress)
             resources.callback(self._bag.close)
-            self._check_topics(Topic.TACTILE_DEPTH)
+            self._check_topic(Topic.TACTILE_DEPTH)
             self._about = self._bag.metadata.get(METADATA_NAME, {})
             version = self._about.get("format_version", str(FORMAT_VERSION))
             if version != str(FORMAT_VERSION):
                 raise SourceError(f"{self._path} has the format version {version}; open it with a newer Tactune")
             rig = self._read_rig()
             if rig.has_proximity:
-                self._check_topics(Topic.PROXIMITY_DEPTH)
+                self._check_topic(Topic.PROXIMITY_DEPTH)
             super().__init__(name, self._cameras_of(rig), resources, rig=rig)
             if not self._bag.complete:
                 cut = f"this recording was cut off; it plays up to its last complete frame, number {self.length}"
@@ -123,22 +123,14 @@ class McapSource(RecordedSource):
             truth = GroundTruth(contact != 0, depth_m)
         return SensorFrame.of_shots(rig, sequence, proximity, tactile, truth)
 
-    def _check_topics(self, needed: Topic) -> None:
-        kinds = self._bag.kinds
+    def _check_topic(self, needed: Topic) -> None:
         if not self._bag.count(needed):
+            kinds = self._bag.kinds
             known = f"its topics are {', '.join(sorted(kinds)[:8])}" if kinds else "it has no messages"
             cut = "" if self._bag.complete else "it was cut off before its first frame was complete; "
             raise SourceError(
                 f"{self._path} holds no frame: {cut}there is no image on {needed} ({known}); choose another recording"
             )
-        for topic in (Topic.FRAME, *_IMAGES):
-            expected = TEXT if topic == Topic.FRAME else IMAGE
-            if topic in kinds and kinds[topic] != (expected, "cdr"):
-                kind, encoding = kinds[topic]
-                raise SourceError(
-                    f"{self._path}: {topic} has messages of the type {kind} in {encoding}, but {expected} in cdr is "
-                    "needed; name the topics of its images with --topics tactile.depth=/topic"
-                )
 
     def _cameras_of(self, rig: Rig) -> list[RecordedCamera]:
         """Return the cameras, with log times where each frame has one of its own, else with stamps, seconds."""
