@@ -31,7 +31,7 @@ TIMED_FRAMES = 30
 class PatchFinder:
     """The pipeline of one preset, made when it is first needed."""
 
-    def __init__(self, missing: Callable[[Preset], str] = lambda preset: "", follows: bool = False) -> None:
+    def __init__(self, missing: Callable[[Preset], str], follows: bool = False) -> None:
         self._missing, self._follows = missing, follows
         self.preset = Preset()
         self.warnings: tuple[str, ...] = ()

@@ -49,8 +49,8 @@ from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 def draw_strip(scene: Scene, wanted: Wanted) -> RenderedStrip:
     """Return the wanted ones of colour, expected and measured depth and relative difference."""
     frame, patch, rig, images = scene.frame, scene.patch, scene.rig, wanted.images
-    depth_range_m = scene.tactile_range_m or scene.depth_range_m
-    typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
+    depth_range_m = scene.tactile_range_m
+    typical_m = sum(depth_range_m) / 2
     height, width = frame.proximity_depth.shape
     stride = stride_for(width, wanted.strip_width)
     every = np.s_[::stride, ::stride]
@@ -146,7 +146,7 @@ _SMALLEST_SPAN_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One frame with everything that decides how it is drawn; a range that is None is the same as the other."""
+    """One frame with everything that decides how it is drawn; the ranges are those of the depth colours."""
 
     frame: SensorFrame
     patch: ContactPatch | None
@@ -155,7 +155,7 @@ class Scene:
     color_by: ColorBy
     theme: ThemeName
     depth_range_m: tuple[float, float]
-    tactile_range_m: tuple[float, float] | None = None
+    tactile_range_m: tuple[float, float]
     pressure: PressureFacts | None = None  # if it is what the colours mean
     pressure_top: float = 1.0  # share of the inflation that has the last colour
     hatched: bool = True  # doubtful contacts
@@ -329,7 +329,7 @@ def tactile_view(scene: Scene) -> DepthCloud | None:
         pose=pose.astype(np.float64),
         depth_scale=alignment.depth_scale,
         depth_offset_m=alignment.depth_offset_m,
-        depth_range_m=scene.tactile_range_m or scene.depth_range_m,
+        depth_range_m=scene.tactile_range_m,
         index=None if scene.pressure is None else pressure_index(scene.pressure.on_membrane.get(), scene.pressure_top),
     )
 

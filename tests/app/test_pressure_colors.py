@@ -175,7 +175,7 @@ def test_the_mask_is_drawn_as_it_was_used_in_half_of_the_light(pressed, preset):
 
     def masked(each):
         patch = pipeline.process(each)
-        scene = Scene(each, patch, preset, rig, ColorBy.CONTACT, "light", (0.2, 0.4))
+        scene = Scene(each, patch, preset, rig, ColorBy.CONTACT, "light", (0.2, 0.4), (0.2, 0.4))
         with_mask, without = (draw_strip(scene, Wanted(shows_mask=shows)) for shows in (True, False))
         return (with_mask.panes["color"] != without.panes["color"]).any(axis=2), with_mask.masked_share
 
