@@ -134,9 +134,9 @@ class RawImage:
             narrow = replace(self, encoding=_WIDE[self.encoding], step=self.step // 2, data=np.ascontiguousarray(upper))
             return narrow.color(shape)
         if self.encoding in _PLANES:
-            return np.asarray(cv2.cvtColor(self._planes(shape, 1.5), _PLANES[self.encoding]), np.uint8)
+            return np.asarray(cv2.cvtColor(self._rows(shape, 1, 1.5), _PLANES[self.encoding]), np.uint8)
         if self.encoding == "nv24":
-            luma, chroma = np.split(self._planes(shape, 3), [shape[0]])  # colour of each pixel: a quarter is shown
+            luma, chroma = np.split(self._rows(shape, 1, 3), [shape[0]])  # colour of each pixel: a quarter is shown
             pixels = np.vstack([luma, chroma.reshape(*shape, 2)[::2, ::2].reshape(-1, shape[1])])
             return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB_NV12), np.uint8)
         if self.encoding not in COLORS:
@@ -147,28 +147,20 @@ class RawImage:
             return pixels.copy() if copy else pixels
         return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
-    def _planes(self, shape: tuple[int, int], planes: float) -> Uint8Array:
-        """Return an image whose brightness and colour lie below each other: uint8, shape (planes * H, W)."""
-        height, width = round(shape[0] * planes), shape[1]
-        self._check_size(shape)
-        if self.step != width or len(self.data) < height * width:  # a driver may pad the rows of neither plane
-            raise DamagedFileError(f"it has {len(self.data)} bytes in rows of {self.step}, not {height} x {width}")
-        return np.ascontiguousarray(self.data[: height * width].reshape(height, width))
+    def _rows(self, shape: tuple[int, int], bytes_per_pixel: int, planes: float = 1) -> Uint8Array:
+        """Return the image's bytes, shape (planes * H, W * bytes per pixel), padding cut off.
 
-    def _check_size(self, shape: tuple[int, int]) -> None:
-        height, width = shape
+        Of more than one plane, brightness and colour lie below each other.
+        """
+        width, count = shape[1], round(shape[0] * planes)
         if (self.height, self.width) != shape:
             raise DamagedFileError(
-                f"it has {self.width} x {self.height} pixels, but its lens is said to have {width} x {height}"
+                f"it has {self.width} x {self.height} pixels, but its lens is said to have {width} x {shape[0]}"
             )
-
-    def _rows(self, shape: tuple[int, int], bytes_per_pixel: int) -> Uint8Array:
-        """Return the image's bytes, shape (H, W * bytes per pixel), padding cut off."""
-        height, width = shape
-        self._check_size(shape)
-        if self.step < width * bytes_per_pixel or len(self.data) != height * self.step:
+        is_padded = planes > 1 and self.step != width  # a driver may pad the rows of neither plane
+        if is_padded or self.step < width * bytes_per_pixel or len(self.data) < count * self.step:
             raise DamagedFileError(f"it has {len(self.data)} bytes, too few for its size")
-        rows = self.data.reshape(height, self.step)[:, : width * bytes_per_pixel]
+        rows = self.data[: count * self.step].reshape(count, self.step)[:, : width * bytes_per_pixel]
         return np.ascontiguousarray(rows)
 
 
