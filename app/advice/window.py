@@ -22,6 +22,7 @@ from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import field_spec
 from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
+from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import SOURCE, Context
 from ..document.comparison import Side
@@ -47,9 +48,7 @@ class ProposalCard(QWidget):
         self.take.setToolTip(f"Take this suggestion for {section_title(proposal.section).lower()}, or leave it")
         self.take.setChecked(bool(proposal.changes))
         self.take.setEnabled(bool(proposal.changes))
-        bold = self.take.font()
-        bold.setBold(True)
-        self.take.setFont(bold)
+        self.take.setFont(text_font("body", bold=True))
         self.label = NoteLabel(proposal.label)
         self.evidence, self.expected = NoteLabel(proposal.evidence), NoteLabel(proposal.expected)
         self._values = QGridLayout()

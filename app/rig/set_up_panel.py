@@ -8,7 +8,7 @@ from typing import Final
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
-from PyQt6.QtWidgets import QAbstractButton, QFrame, QLabel, QScrollArea, QStackedLayout, QWidget
+from PyQt6.QtWidgets import QAbstractButton, QFrame, QScrollArea, QStackedLayout, QWidget
 
 from ...core.errors import counted
 from ...core.model.frames import SensorFrame
@@ -16,7 +16,7 @@ from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
 from ...core.sources.base import part_of
 from ...core.sources.registry import open_source, opens_by_name
-from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, action_button, push_button
+from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, action_button, heading, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
 from ..calibration.measuring_step import OTHER_SOURCE, MeasuringStep
@@ -97,9 +97,8 @@ class StepRow(QFrame):
         super().__init__()
         self.title, self.work, self.two_cameras = title, work, two_cameras
         self.skipped, self._intro, self.known = False, intro, known
-        self.mark, heading = TintedLabel(), QLabel(title)
+        self.mark = TintedLabel()
         self.mark.setFixedWidth(self.mark.fontMetrics().horizontalAdvance("MM"))
-        heading.setFont(text_font("body", bold=True))
         self.state = ElidedLabel()
         self.state.setAccessibleName(title)
         self.setAccessibleName(title)
@@ -115,7 +114,7 @@ class StepRow(QFrame):
             below.setFixedHeight(work.cancel.sizeHint().height())
             work.progress.setAccessibleName(f"Progress of {title.lower()}")
         buttons = [*([] if work is None else [work.start]), *more]
-        head = hbox(self.mark, heading, STRETCH, *buttons, margins=0, spacing=6)
+        head = hbox(self.mark, heading(title), STRETCH, *buttons, margins=0, spacing=6)
         vbox(head, hbox(self.mark.width(), (below, 1), margins=0), within=self, margins=(6, 4, 6, 4), spacing=0)
 
     @property

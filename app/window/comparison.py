@@ -16,7 +16,7 @@ from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import caption, choice_button, named, push_button, wrapped_label
+from ...widgets.basics.controls import caption, choice_button, heading, named, push_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
@@ -111,7 +111,7 @@ class ComparisonPanel(QWidget):
             button.clicked.connect(lambda _, mode=mode: self.show_mode(mode))
             group.addButton(button)
         vbox(
-            hbox((QLabel("<b>Compare presets</b>"), 1), self.close_button),
+            hbox((heading("Compare presets"), 1), self.close_button),
             self._side_rows(),
             hbox(*self.modes.values(), spacing=4),
             self._number_rows(),

@@ -6,15 +6,14 @@ from collections.abc import Callable, Sequence
 
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QWIDGETSIZE_MAX, QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWIDGETSIZE_MAX, QPushButton, QVBoxLayout, QWidget
 
 from ...core.contact.alignment import UNKNOWN_POSE
 from ...core.errors import as_sentence
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
-from ...widgets.basics.controls import NoteLabel, push_button, timer
+from ...widgets.basics.controls import NoteLabel, heading, push_button, timer
 from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
-from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
 from ..worker.results import CloudName
@@ -40,8 +39,7 @@ class FindingsRail(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.mend: Callable[[Finding], None] = lambda finding: None
-        self.title = QLabel()
-        self.title.setFont(text_font("body", bold=True))
+        self.title = heading()
         self._cards = QVBoxLayout()
         self._cards.setSpacing(4)
         content = QWidget()

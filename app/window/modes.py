@@ -7,11 +7,10 @@ from enum import StrEnum
 
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
-from PyQt6.QtWidgets import QLabel, QStackedWidget, QToolButton, QWidget
+from PyQt6.QtWidgets import QStackedWidget, QToolButton, QWidget
 
-from ...widgets.basics.controls import NoteLabel, action_button, push_button
+from ...widgets.basics.controls import NoteLabel, action_button, heading, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ...widgets.basics.theme import text_font
 from ..context import Context
 from ..worker.results import SourceInfo
 from .actions import Actions
@@ -71,12 +70,6 @@ class RunPanel(QWidget):
         """Offer to record what is live; the next step of a recording is to export it."""
         self._live.setVisible(info.length is None)
         self._no_live.setVisible(info.length is not None)
-
-
-def heading(text: str) -> QLabel:
-    label = QLabel(text)
-    label.setFont(text_font("body", bold=True))
-    return label
 
 
 class ModeColumn(QWidget):

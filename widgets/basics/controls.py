@@ -175,6 +175,12 @@ def wrapped_label(text: str = "", *, verdict: bool = False, selectable: bool = F
     return label
 
 
+def heading(text: str = "") -> QLabel:
+    label = QLabel(text)
+    label.setFont(text_font("body", bold=True))
+    return label
+
+
 class TintedLabel(QLabel):
     """A label in one of the theme's colours, a field of `ThemeColors`; empty: the usual one of text."""
 
