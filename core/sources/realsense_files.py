@@ -50,7 +50,12 @@ class BagSource(RecordedSource):
             raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
         with ExitStack() as resources:
             recordings = [resources.enter_context(closing(open_recording(path, progress))) for path in paths]
-            super().__init__(f"bag:{text}", _cameras(f"bag:{text}", recordings), resources)
+            lacks = [
+                f"{recording.path.name} was not finished when it was recorded: it is shown up to its last whole part"
+                for recording in recordings
+                if not recording.bag.complete
+            ]
+            super().__init__(f"bag:{text}", _cameras(f"bag:{text}", recordings), resources, lacks)
             self._resources = resources.pop_all()
 
 

@@ -13,13 +13,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path, PurePath
 from threading import Lock
 from typing import Any, Final
 
 import numpy as np
 from rosbags.rosbag1 import Reader, ReaderError
-from rosbags.rosbag1.reader import IndexData
+from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
 from ruamel.yaml import YAML
 
 from ...errors import SourceError, foreign
@@ -96,7 +97,7 @@ class SqliteBag(Bag):
 
 
 class Ros1Bag(Bag):
-    """A ROS 1 bag."""
+    """A ROS 1 bag; one that was cut off ends with its last complete chunk."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -105,10 +106,14 @@ class Ros1Bag(Bag):
         self._reader = Reader(path)
         try:
             self._reader.open()
-        except ReaderError as error:
-            self.close()
-            cut = "; if its recorder was killed, rosbag reindex makes the index that it lacks"
-            raise DamagedFileError(f"{error}{cut}") from error
+        except ReaderError:
+            self.complete = False
+            self._reader = _Unfinished(path)
+            try:
+                self._reader.open()
+            except BaseException:
+                self.close()
+                raise
         self._entries: defaultdict[str, list[IndexData]] = defaultdict(list)
         for each in self._reader.connections:  # a merged bag has several of one topic
             if each.msgcount:
@@ -151,6 +156,51 @@ class Ros1Bag(Bag):
             file.seek(packed.datapos)
             data = file.read(packed.datasize)
         return packed.decompressor(data)
+
+
+class _Unfinished(Reader):
+    """A bag that was killed or cut off, so that it has no index: one is made from its complete chunks."""
+
+    def open(self) -> None:
+        size = self.path.stat().st_size
+        self.bio = file = self.path.open("rb")
+        file.readline()
+        Header.read(file)
+        file.seek(read_uint32(file), 1)
+        found: defaultdict[int, list[IndexData]] = defaultdict(list)
+        names: dict[int, Any] = {}
+        while True:
+            place = file.tell()
+            try:
+                kind = Header.read(file).get_uint8("op")
+                length = read_uint32(file)
+            except Exception:  # the end, or damage
+                break
+            start = file.tell()
+            if start + length > size or kind not in (RecordType.CHUNK, RecordType.IDXDATA):
+                break
+            if kind == RecordType.CHUNK:
+                file.seek(place)
+                self.chunks[place] = self.read_chunk()
+                file.seek(start)
+                self._walk(place, self.chunks[place].decompressor(file.read(length)), found, names)
+            file.seek(start + length)
+        self.indexes = {number: sorted(entries) for number, entries in found.items() if number in names}
+        self.connections = [names[number]._replace(msgcount=len(self.indexes[number])) for number in self.indexes]
+
+    def _walk(self, place: int, chunk: bytes, found: dict[int, list[IndexData]], names: dict[int, Any]) -> None:
+        """Add the messages and the connections in a chunk."""
+        inside = Reader(self.path)  # it reads connections from the chunk
+        inside.bio = BytesIO(chunk)
+        while (offset := inside.bio.tell()) < len(chunk):
+            head = Header.read(inside.bio)
+            if head.get_uint8("op") == RecordType.CONNECTION:
+                inside.bio.seek(offset)
+                connection = inside.read_connection()
+                names[connection.id] = connection
+            else:
+                inside.bio.seek(read_uint32(inside.bio), 1)
+                found[head.get_uint32("conn")].append(IndexData(head.get_time("time"), place, offset))
 
 
 class SplitBag(Bag):
