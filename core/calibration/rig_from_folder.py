@@ -191,6 +191,7 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
                 f"(--{said})"
             )
         option = str(found[0])
+    option = option.removesuffix("=")  # else the lens would be the folder in which the command runs
     if option in MODELS:
         draft.warnings.append(
             f"the {kind} lens of the {option} is the maker's, not measured: positions to the side are wrong by a few "

@@ -11,6 +11,7 @@ from fast_dds import FastDdsPublisher
 from ros2_cameras import BASELINE_M, cameras, messages, topics_of, transforms
 from tactune.core import open_source
 from tactune.core.errors import SourceError
+from tactune.core.model.frames import Rig
 from tactune.core.preset import CamerasSection
 from tactune.core.sources.ros import live
 from tactune.core.sources.ros.live import open_topics
@@ -68,7 +69,7 @@ def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain):
 
 def test_one_camera_is_a_tactile_one(domain):
     with cameras(domain, names=("d405",)), open_topics(f"?domain={domain}", CamerasSection(), untold) as source:
-        assert not source.rig.has_proximity
+        assert source.rig == Rig.of_one_camera(source.rig.tactile)
         numbers = []
         for _ in range(8):
             frame = source.next_frame()
