@@ -52,8 +52,10 @@ _ALIGN_ANEW_M: Final = 0.001
 _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
 #: A part of contact is missed if the bias may be larger by this number of standard deviations, limited, metres, if less
 #: than this share of the part was found, and if it is larger than this, m^2: smaller ones hover as often as they touch.
-#: Beside firm contact of the last area the bias is too certain.
-_MISSED_SIGMAS, _MAX_SIGMA_M, _FOUND_SHARE, _MISSED_M2, _LARGE_M2 = 2.0, 0.0005, 0.2, 48e-6, 0.002
+#: Where nothing else touches it must be larger than the next. Beside firm contact of the last area the bias is too
+#: certain.
+_MISSED_SIGMAS, _MAX_SIGMA_M, _FOUND_SHARE = 2.0, 0.0005, 0.2
+_MISSED_M2, _ALONE_M2, _LARGE_M2 = 48e-6, 100e-6, 0.002
 #: Error of the boundary as a multiple of how far the bias's error moves it; where all of it borders on cells without
 #: depth, and at least, metres. A cell has no depth where this share has none; and the residual of cells in contact as a
 #: multiple of a pixel's noise.
@@ -168,7 +170,7 @@ def measured_cells(measured: Measured, frame: SensorFrame, section: MembraneSect
 
 
 def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, section: MembraneSection) -> Equilibrium:
-    """Return the solution with the parts of contact that only the largest likely bias shows, if anything touches.
+    """Return the solution with the parts of contact that only the largest likely bias shows.
 
     Parts that are found keep their edge: a larger bias would move it outwards.
     """
@@ -182,9 +184,10 @@ def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, s
     _, part = cv2.connectedComponents((largest.gap_m <= gap_m).view(np.uint8))
     areas_m2, found = cells.area_m2, solution.gap_m <= gap_m
     area_m2, found_m2 = (np.bincount(part.ravel(), each.ravel()) for each in (areas_m2, areas_m2 * found))
-    missed = (found_m2 < _FOUND_SHARE * area_m2) & (area_m2 > _MISSED_M2)
+    smallest_m2 = _MISSED_M2 if found_m2.max() >= _FOUND_SHARE * _MISSED_M2 else _ALONE_M2
+    missed = (found_m2 < _FOUND_SHARE * area_m2) & (area_m2 > smallest_m2)
     missed[0] = False
-    if not missed.any() or found_m2.max() < _FOUND_SHARE * _MISSED_M2:
+    if not missed.any():
         return solution
     here = cv2.dilate(missed[part].view(np.uint8), np.ones((3, 3), np.uint8)) > 0
     names = (field.name for field in fields(Equilibrium))
