@@ -68,9 +68,15 @@ def test_a_hollow_that_is_hardly_pressed_makes_the_boundary_less_certain():
 
 @pytest.mark.parametrize(
     ("pressed_m", "side", "measured", "added"),
-    [(-0.001, 14, True, True), (-0.001, 14, False, False), (0.004, 14, True, False), (-0.001, 6, True, False)],
+    [
+        (-0.001, 14, True, True),
+        (-0.001, 14, False, False),
+        (-0.001, 6, True, False),
+        (0.004, 14, True, True),
+        (0.004, 9, True, False),  # where nothing else touches
+    ],
 )
-def test_a_part_that_only_a_larger_bias_shows_is_added_to_another_one(pressed_m, side, measured, added):
+def test_a_part_that_only_a_larger_bias_shows_is_added(pressed_m, side, measured, added):
     difference_m = np.full((COUNT, COUNT), 0.004, np.float32)
     centre = 20 + side // 2, 40 + side // 2
     difference_m[20:40, 8:24], difference_m[20 : 20 + side, 40 : 40 + side] = pressed_m, 0.0004
