@@ -73,7 +73,7 @@ def damage_told(path: Path, what: str) -> Iterator[None]:
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path and the disk") from error
     except Exception as error:
-        detail = foreign(error) or type(error).__name__
+        detail = foreign(f"{error} is missing" if isinstance(error, KeyError) else error) or type(error).__name__
         raise SourceError(f"{path}: {what} ({detail}); copy it again if it is damaged") from error
 
 

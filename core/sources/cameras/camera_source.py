@@ -91,7 +91,7 @@ class CameraSource(FrameSource):
                 self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self._add)
         except SourceError as error:
             self._close_feeds()
-            raise SourceError(f"{self.name} {error}") from error
+            raise SourceError(f"{self.name.rstrip(':')}: {error}") from error
         except BaseException:
             self._close_feeds()
             raise
@@ -119,7 +119,7 @@ class CameraSource(FrameSource):
         """Wait for a pair of images, at most ``timeout_s``; `SourceError` if a driver hangs."""
         for feed in self._feeds.values():
             if not self._closed and time.monotonic() - feed.alive_s > HUNG_S:
-                raise SourceError(f"{self.name} the driver does not come back from the {feed.info.title}")
+                raise SourceError(f"{self.name.rstrip(':')}: the driver does not come back from the {feed.info.title}")
         with self._changed:
             return self._changed.wait_for(lambda: bool(self._ready) or self._closed, timeout_s)
 

@@ -174,7 +174,7 @@ def _read_name(rest: str) -> tuple[int, str, Topics]:
     query, topics = split_name(rest)
     values = {"domain": os.environ.get("ROS_DOMAIN_ID") or "0", "host": _ANY_NETWORK}
     try:
-        given = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True, strict_parsing=bool(query)))
+        given = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True))
         if given.keys() - values or (query and not query.startswith("?")):
             raise ValueError("the only options are domain and host, as in ros2:?domain=3&host=127.0.0.1")
         values |= given

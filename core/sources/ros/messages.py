@@ -92,13 +92,14 @@ OBJECT_FRAME: Final = "object"
 
 
 def matrix_of(transform: Any) -> Float64Array:
-    """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised; of one that is all 0, nan."""
+    """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised; of one that is no rotation, nan."""
     from scipy.spatial.transform import Rotation  # slow to import
 
     q, t = transform.rotation, transform.translation
-    if not any((q.x, q.y, q.z, q.w)):
+    quaternion = np.array((q.x, q.y, q.z, q.w))
+    if not quaternion @ quaternion > 0:  # also nan
         return np.full((4, 4), np.nan)
-    return pose_matrix(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (t.x, t.y, t.z))
+    return pose_matrix(Rotation.from_quat(quaternion).as_matrix(), (t.x, t.y, t.z))
 
 
 #: What ``ros2 bag record --compression-mode`` writes begins so: a message in any container, or a whole file.

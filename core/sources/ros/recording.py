@@ -247,8 +247,8 @@ def _stated_camera(
 
 def _color(bag: Bag, frames: Frames, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
     """Return the lens of a camera's colour and the pose of its depth in it."""
-    if color.encoding not in COLORS:
-        raise GapError(f"{color.name} has the encoding {foreign(color.encoding, 40)!r}, which is not known")
+    if color.kind != "color" or color.encoding not in COLORS:
+        raise GapError(f"{color.name} has no colour that is known: its encoding is {foreign(color.encoding, 40)!r}")
     pose = frames.pose(color.frame, depth.frame)
     if pose is None:
         raise GapError(

@@ -404,6 +404,7 @@ BAD_LENSES = {
     "words.txt": ("hello you", "words"),
     "empty.yaml": ("", "NoneType"),
     "other.yaml": ("a: 1\nb: {c: 2}\n", "states no lens"),
+    "half.yaml": ("fx: 30\n", "'fy' is missing"),
     "broken.yaml": ("a: [1, 2\nb: }", "is no file of a lens"),
     "broken.xml": ("<opencv_storage><camera", "is no file of a lens"),
     "deep.yaml": ("[" * 5000, "is no file of a lens"),

@@ -126,6 +126,7 @@ def test_cameras_that_fast_dds_publishes(from_fast_dds):
     ("rest", "sentence"),
     [
         ("domain=3", "the only options are domain and host"),
+        ("here", "the only options are domain and host"),
         ("?port=3", "the only options are domain and host"),
         ("?domain=", "the domain is ''"),
         ("?domain=300", "is not from 0 to 232"),

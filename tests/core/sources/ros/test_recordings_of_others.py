@@ -273,8 +273,11 @@ def test_binning_region_and_the_first_filled_in_lens(tmp_path):
 
 
 @pytest.mark.parametrize("broken", [("rig", "b_link"), ("c_link", "c_optical")])
-def test_a_chain_that_is_broken_is_a_gap_not_a_pose(tmp_path, broken):
-    transforms = tuple(each for each in CHAIN if each[:2] != broken)
+@pytest.mark.parametrize("turn", [(), (0.0,) * 4, (np.nan,) * 4, (1e-200, 0.0, 0.0, 0.0)])
+def test_a_chain_that_is_broken_is_a_gap_not_a_pose(tmp_path, broken, turn):
+    """A link is missing, or its quaternion is no rotation."""
+    kept = [each for each in CHAIN if turn or each[:2] != broken]
+    transforms = tuple((*each[:3], turn) if each[:2] == broken else each for each in kept)
     rig, frame, health = first_frame(make_recording(tmp_path / "take", TWO, transforms))
     assert (rig.T_proximity_tactile is None) == (broken == ("rig", "b_link"))
     assert frame.proximity_color.any() == (broken == ("rig", "b_link"))
@@ -303,6 +306,8 @@ def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_dep
         frame = source.next_frame()
         assert (frame.proximity_depth[0, 0], frame.tactile_depth[0, 0]) == (390, 400)
         assert (frame.proximity_color == 90).all()
+    wrong = f"{path}?proximity.depth={names[1]},proximity.color={names[0]},tactile.depth={names[0]}"
+    assert f"the proximity colour is left out: {names[0]} has no colour" in first_frame(wrong)[2].message
 
 
 def test_only_images_half_a_period_apart_by_their_own_stamps_are_a_frame(tmp_path):
