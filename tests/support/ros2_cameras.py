@@ -54,7 +54,8 @@ def camera_info(stamp_ns: int, frame: str, model: str) -> bytes:
     roi = message("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     value = message(
         CAMERA_INFO, header=header(stamp_ns, frame), height=HEIGHT, width=WIDTH, distortion_model=model,
-        d=np.full(5, 0.001), k=k, r=np.eye(3).ravel(), p=np.zeros(12), binning_x=0, binning_y=0, roi=roi,
+        d=np.full(5, 0.0 if model == "none" else 0.001), k=k,
+        r=np.eye(3).ravel(), p=np.zeros(12), binning_x=0, binning_y=0, roi=roi,
     )  # fmt: skip
     return cdr(value, CAMERA_INFO)
 

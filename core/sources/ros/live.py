@@ -25,6 +25,7 @@ from ..cameras.camera import Camera, CameraDriver, DeviceInfo, Images
 from ..cameras.camera_source import CameraSource
 from ..cameras.pairing import period_s
 from ..capture.process_source import ProcessSource
+from ..lens_files import camera_info_lens
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
 from .recording import NAMING, GapError, StatedRig, Stream, stated_rig
@@ -252,6 +253,20 @@ class _Receiver:
         self.stream, self._kind = stream, types[stream.topic.name]
         self.reader = listener.read(stream.topic.name, self._kind)
         self.waiting: deque[_Message] = deque()
+        self._infos = listener.read(stream.info, CAMERA_INFO) if stream.info else None
+
+    def check_lens(self) -> None:
+        """Refuse another lens than the one that was found: a driver may come back with another camera."""
+        topic = self.stream.topic
+        for data in [] if self._infos is None else self._infos.take():
+            info = TYPES.deserialize_cdr(data, CAMERA_INFO)
+            try:
+                lens = camera_info_lens(info, is_rectified=topic.is_rectified)
+            except SourceError as error:
+                raise SourceError(f"{topic.name}: {error}") from error
+            if lens is not None and lens.intrinsics != self.stream.lens.intrinsics:
+                raise SourceError(f"the images on {topic.name} have another lens than before: open the topics again")
+        self._infos = None
 
     def take(self) -> None:
         """Add the images that have come to those that wait."""
@@ -290,6 +305,8 @@ class Ros2Camera(Camera):
         stamps_s = np.array([message.stamp_s for message in depth.waiting])
         if not stamps_s.any():
             raise SourceError(f"the images on {name} have no time stamps in their headers")
+        for stream in filter(None, (self._depth, self._color)):
+            stream.check_lens()
         depth.waiting.clear()
         return round(1 / period_s(stamps_s), 1)
 

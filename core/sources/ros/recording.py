@@ -144,10 +144,11 @@ def _paths(text: str) -> tuple[Path, ...]:
 
 
 class Stream(NamedTuple):
-    """A topic of images and their lens."""
+    """A topic of images, their lens, and the topic that states it; empty if a file does, or another stream's."""
 
     topic: ImageTopic
     lens: Lens
+    info: str
 
     def pixels(self, message: Any, *, copy: bool = True) -> AnyArray:
         """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3); without ``copy`` maybe memory that is read only."""
@@ -227,6 +228,7 @@ def _stated_camera(
     stated = topics.get(f"{role}.info", depth.info)
     is_file = stated not in bag.types and Path(stated).is_file()
     lens = lens_of_file(Path(stated), role, (depth.width, depth.height)) if is_file else _lens(bag, depth, stated)
+    stream = Stream(depth, lens, "" if is_file else stated)
     calibration = Calibration(
         DepthCamera(
             model=foreign(depth.camera.replace("/", " ") or role, 80),
@@ -239,10 +241,10 @@ def _stated_camera(
         try:
             color_lens, pose = _color(bag, frames, color, depth, lens)
             calibration = Calibration(calibration.depth, color_lens.intrinsics, camera_pose(pose))
-            return StatedCamera(Stream(depth, lens), Stream(color, color_lens), calibration)
+            return StatedCamera(stream, Stream(color, color_lens, color.info), calibration)
         except (GapError, ValueError) as gap:
             lacks.append(f"the {role} colour is left out: {gap}")
-    return StatedCamera(Stream(depth, lens), None, calibration)
+    return StatedCamera(stream, None, calibration)
 
 
 def _color(bag: Bag, frames: Frames, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
