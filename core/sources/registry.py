@@ -237,8 +237,8 @@ def _resolved(name: str) -> tuple[SourceKind, str]:
     scheme = name.partition(":")[0]
     if scheme in problems:
         raise SourceError(problems[scheme])
-    if Path(name).suffix or "/" in name:
+    if ":" not in name and (Path(name).suffix or "/" in name):
         raise SourceError(f"{name!r} is no source: there is no such file or folder; check the path")
-    near = get_close_matches(name, ("sim", *(kind.scheme for kind in kinds)), 1)
+    near = get_close_matches(scheme, [kind.scheme for kind in kinds], 1)
     meant = f"did you mean {near[0]}? Else " if near else ""
     raise SourceError(f"{name!r} is no source: {meant}give an existing path or one of {forms}")

@@ -34,6 +34,7 @@ REFUSED = [
     ("run --source IN --out /dev/null/out", "/dev/null/out"),
     ("run --source IN --out IN/rig.json", "rig.json is a file"),
     ("run --source simm", "did you mean sim"),
+    ("run --source foldr:IN", "did you mean folder"),
     ("--source sim", "tactune gui --source sim"),
     (f"run --source {'x' * 5000} --json", "too long"),
     ("run --source ~nosuchuser/x --json", "nosuchuser"),
