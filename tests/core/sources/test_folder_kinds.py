@@ -224,6 +224,7 @@ REFUSED = {
     "two of one name": ({"proximity_depth.npy": DEPTH, "proximity_depth.png": DEPTH}, "remove one"),
     "counts beyond 16 bits": ({"proximity_depth.npy": DEPTH.astype(np.int64) * 1000}, "0 to 500000"),
     "nothing": ({"mask.png": GRAY}, "has no frames"),
+    "half": ({"proximity/depth/1.png": DEPTH}, "of the tactile camera is missing"),
     "two depths of a frame": ({"depth/1.png": DEPTH, "depth_raw/1.png": DEPTH}, "keep one"),
     "strangers": ({"proximity_depth/1.png": DEPTH, "tactile_depth/2.png": DEPTH}, "partner"),
 }
