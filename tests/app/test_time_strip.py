@@ -12,8 +12,7 @@ from PyQt6.QtTest import QTest
 from fakes import FakeCameras, FakeSource, at_rest, tiny_frame
 from hands import CONTROL, show_source, strip_position, type_path
 from tactune.app.timeline.series import Series, time_series, visiting_order
-from tactune.app.worker.results import SourceInfo
-from tactune.core import ContactPipeline, open_source
+from tactune.core import ContactPipeline
 from tactune.core.model.frames import GroundTruth
 from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
@@ -55,7 +54,7 @@ def computed(window):
 
 
 @pytest.mark.parametrize(("name", "export"), [("lost.mcap", export_mcap), ("lost", export_folder)])
-def test_a_recording_with_lost_frames_has_the_times_of_their_stamps(tmp_path, name, export):
+def test_a_recording_with_lost_frames_has_the_times_of_their_stamps(qtbot, window, tmp_path, name, export):
     times_s = np.array([10.0, 10.1, 10.5, 10.6])
 
     def make(index, rig):
@@ -63,9 +62,12 @@ def test_a_recording_with_lost_frames_has_the_times_of_their_stamps(tmp_path, na
         return replace(tiny_frame(index, rig), proximity_time_s=at_s, tactile_time_s=at_s)
 
     export(FakeSource(4, make=make), tmp_path / name)
-    with open_source(str(tmp_path / name)) as source:
-        info = SourceInfo.of(source)
-    np.testing.assert_allclose(Series(info.length, info.frame_rate_hz, info.times_s).seconds, times_s - 10)
+    window.open_source(str(tmp_path / name))
+    qtbot.waitUntil(lambda: window.timeline.series is not None and len(window.timeline.series) == 4)
+    np.testing.assert_allclose(window.timeline.series.seconds, times_s - 10)
+    qtbot.waitUntil(lambda: computed(window))
+    line = window.time_strip.plot_widget.getPlotItem().curves[0]
+    qtbot.waitUntil(lambda: list(line.opts["connect"]) == [True, False, True, False])
 
 
 def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_pointer(make_window, scene, qtbot):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyqtgraph as pg
@@ -75,6 +75,8 @@ _STEPS: Final[dict[int, int]] = {
 }
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
+#: Frames are lost between two whose interval is the usual one times this, or more.
+_LOST = 1.8
 
 
 class _StripPlot(Plot):
@@ -259,7 +261,12 @@ class TimeStrip(QWidget):
         curve = self.curve
         shown = self._values.get(curve.key, np.full(len(self.seconds), math.nan))
         known = np.flatnonzero(self._computed)
-        self._line.setData(self.seconds[known], shown[known])
+        joined: Any = "finite"
+        if not self._live and len(known) > 1:  # the line ends where frames are lost
+            steps_s = np.diff(self.seconds)
+            lost = np.append(0, np.cumsum(steps_s > _LOST * np.median(steps_s)))[known]
+            joined = np.append((lost[1:] == lost[:-1]) & np.isfinite(shown[known][1:] + shown[known][:-1]), False)
+        self._line.setData(self.seconds[known], shown[known], connect=joined)
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
         height = 1.0 if curve.key == "iou" or top == 1.0 else 1.08 * top
         axis = self._plot.getAxis("left")

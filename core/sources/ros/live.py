@@ -55,7 +55,7 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
     began_s, quiet = time.monotonic(), 0
     found, gap = None, "no topic has depth images"
     while (spent_s := time.monotonic() - began_s) < _SEARCH_S and (
-        found is None or found.unread or quiet < _QUIET_LOOKS
+        found is None or (found.lacks and heard.silent) or quiet < _QUIET_LOOKS
     ):
         progress(0.2 * spent_s / _SEARCH_S, "looking for ROS 2 topics")
         quiet += 1
@@ -73,7 +73,7 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
             f"{name}: nobody has published in ROS 2 domain {listener.domain} for {_SEARCH_S:.0f} s; start the camera's "
             "ROS 2 driver, name its domain as in ros2:?domain=3, and check that the network lets UDP through"
         )
-    silent = [foreign(topic, 60) for topic in sorted(set(heard.announced) - set(heard.types))]
+    silent = [foreign(topic, 60) for topic in heard.silent]
     raise SourceError(
         f"{name}: {gap} in ROS 2 domain {listener.domain}; name topics, or a file of a lens, with {NAMING}; "
         f"{list_topics(survey(heard), heard.types)}"
@@ -110,6 +110,11 @@ class _Heard(Bag):
                 if kind != CAMERA_INFO or self.message(topic, 0).k[0]:  # else the driver is not ready yet
                     del self._readers[topic]
         return is_new
+
+    @property
+    def silent(self) -> list[str]:
+        """Topics of cameras of which no message has come."""
+        return sorted(topic for topic, kind in self.announced.items() if kind in _KINDS and topic not in self.types)
 
     def count(self, topic: str) -> int:
         return len(self._messages.get(topic, ()))

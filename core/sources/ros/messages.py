@@ -26,6 +26,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ...model.arrays import Float64Array, Int64Array
 from ...model.frames import pose_matrix
 from ..base import Progress
+from ..ros_image import DamagedFileError
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -108,7 +109,12 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 def unpacked(data: memoryview) -> memoryview:
     """Return the bytes of a message, decompressed if they are compressed."""
-    return memoryview(zstd.decompress(data)) if bytes(data[:4]) == ZSTD_MAGIC else data
+    if bytes(data[:4]) != ZSTD_MAGIC:
+        return data
+    try:
+        return memoryview(zstd.decompress(data))
+    except zstd.ZstdError as error:
+        raise DamagedFileError(f"a message cannot be unpacked ({error})") from error
 
 
 def unpack_file(path: Path, target: Path) -> None:

@@ -168,15 +168,11 @@ class StatedCamera:
 
 @dataclass(frozen=True, eq=False)
 class StatedRig:
-    """Cameras by role, the pose between two if it is known, and clauses about what is missing.
-
-    ``unread`` names the depth of another camera, of which no image can be read.
-    """
+    """Cameras by role, the pose between two if it is known, and clauses about what is missing."""
 
     cameras: dict[CameraRole, StatedCamera]
     pose: Matrix4 | None
     lacks: list[str]
-    unread: list[str]
 
 
 def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, str], chosen: Topics) -> StatedRig:
@@ -198,10 +194,9 @@ def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, s
     roles: list[CameraRole] = ["proximity", "tactile"] if "proximity.depth" in topics else ["tactile"]
     cameras = {role: _stated_camera(bag, frames, known, topics, role, lacks) for role in roles}
     if len(cameras) == 1:
-        unread = [] if chosen else unread_depth(known, announced, topics["tactile.depth"])
-        if unread:
+        if not chosen and (unread := unread_depth(known, announced, topics["tactile.depth"])):
             lacks.append(f"only one camera is shown, since no depth comes on {', '.join(unread)} that can be read")
-        return StatedRig(cameras, None, lacks, unread)
+        return StatedRig(cameras, None, lacks)
     frame, other = (camera.depth.topic.frame for camera in cameras.values())
     pose, first, second = frames.pose(frame, other), foreign(frame, 60), foreign(other, 60)
     if pose is None:
@@ -213,10 +208,10 @@ def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, s
         )
     else:
         try:
-            return StatedRig(cameras, camera_pose(pose), lacks, [])
+            return StatedRig(cameras, camera_pose(pose), lacks)
         except ValueError as error:
             lacks.append(f"the pose between {first} and {second} is not used: {error}")
-    return StatedRig(cameras, None, lacks, [])
+    return StatedRig(cameras, None, lacks)
 
 
 def _stated_camera(
