@@ -82,8 +82,7 @@ def test_one_camera_is_a_tactile_one(domain):
         assert source.health().ok
 
 
-def test_a_second_camera_is_awaited_and_named_when_it_stays_silent(domain, monkeypatch):
-    monkeypatch.setattr(live, "_SEARCH_S", 4)
+def test_a_second_camera_is_awaited_and_named_when_it_stays_silent(domain):
     with (
         cameras(domain, rate_hz=1e-3, names=("d405",)),  # one image, before anybody listens
         cameras(domain, names=("l515",)),
