@@ -42,9 +42,8 @@ def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorF
     doubt = patch.doubt
     if math.isfinite(doubt.boundary_error_mm):
         rest_mm = doubt.boundary_error_mm
-        if (
-            preset.noise is not None and patch.membrane is not None
-        ):  # how much smaller the error would be with a known bias
+        if preset.noise is not None and patch.membrane is not None:
+            # how much smaller the error would be with a known bias
             known = preset.noise.model_copy(update={"bias_sigma_m": _KNOWN_BIAS_M})
             pipeline.update(preset.model_copy(update={"noise": known}))
             rest_mm = min(rest_mm, pipeline.process(pressed).doubt.boundary_error_mm)

@@ -113,7 +113,7 @@ class _Heard(Bag):
 
     @property
     def silent(self) -> list[str]:
-        """Topics of cameras of which no message has come."""
+        """Announced topics of images and lenses that have sent no message yet."""
         return sorted(topic for topic, kind in self.announced.items() if kind in _KINDS and topic not in self.types)
 
     def count(self, topic: str) -> int:
