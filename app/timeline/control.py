@@ -17,7 +17,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
 from ...widgets.basics.controls import timer
-from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
+from ...widgets.plots.time_strip import CURVES, LIVE_S, STALL_FACTOR, STALL_S, TimeStrip
 from ..context import Context
 from ..worker.results import Pace, Result, SourceInfo
 from .series import Answer, FrameValues, Order, Series, frame_values, serve_series
@@ -28,8 +28,6 @@ _REST_MS = 500
 _CURSOR_S = 0.1
 #: Interval between updates of a live strip, in ms.
 _LIVE_MS = 200
-#: From this time without frames on, and from this multiple of the usual one, a live curve is interrupted; seconds.
-_STALL_S, _STALL_FACTOR = 1.0, 3.0
 #: Interval at which the answers of the process are looked for, in ms; longest wait for it to end, in s.
 _LOOK_MS, _ENDING_S = 100, 2.0
 #: Fields of a preset that no patch depends on.
@@ -171,7 +169,7 @@ class Timeline(QObject):
         seconds = np.array([arrived_s - now_s for arrived_s, _ in self._live])
         values = {curve.key: np.array([getattr(each, curve.key) for _, each in self._live], float) for curve in CURVES}
         steps = np.diff(seconds)
-        stalls = steps > max(_STALL_S, _STALL_FACTOR * float(np.quantile(steps, 0.25))) if len(steps) else steps > 0
+        stalls = steps > max(STALL_S, STALL_FACTOR * float(np.quantile(steps, 0.25))) if len(steps) else steps > 0
         for column in values.values():
             column[1:][stalls] = np.nan  # no line over a time without frames
         self._strip.set_live(seconds, values)

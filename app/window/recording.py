@@ -189,6 +189,8 @@ class RecordingBar(QFrame):
         )
 
     def _source_changed(self, state: SourceState) -> None:
+        if self._finishing:  # the frames that come now are not of the recording
+            return
         self._lost = state.health.dropped
         self._lost_before = min(self._lost_before, self._lost)  # another source counts anew
 

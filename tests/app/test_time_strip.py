@@ -55,19 +55,19 @@ def computed(window):
 
 @pytest.mark.parametrize(("name", "export"), [("lost.mcap", export_mcap), ("lost", export_folder)])
 def test_a_recording_with_lost_frames_has_the_times_of_their_stamps(qtbot, window, tmp_path, name, export):
-    times_s = np.array([10.0, 10.1, 10.5, 10.6])
+    times_s = np.array([10.0, 10.1, 10.3, 11.5, 11.6])
 
     def make(index, rig):
         at_s = float(times_s[index])
         return replace(tiny_frame(index, rig), proximity_time_s=at_s, tactile_time_s=at_s)
 
-    export(FakeSource(4, make=make), tmp_path / name)
+    export(FakeSource(5, make=make), tmp_path / name)
     window.open_source(str(tmp_path / name))
-    qtbot.waitUntil(lambda: window.timeline.series is not None and len(window.timeline.series) == 4)
+    qtbot.waitUntil(lambda: window.timeline.series is not None and len(window.timeline.series) == 5)
     np.testing.assert_allclose(window.timeline.series.seconds, times_s - 10)
     qtbot.waitUntil(lambda: computed(window))
     line = window.time_strip.plot_widget.getPlotItem().curves[0]
-    qtbot.waitUntil(lambda: list(line.opts["connect"]) == [True, False, True, False])
+    qtbot.waitUntil(lambda: list(line.opts["connect"]) == [True, True, False, True, False])
 
 
 def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_pointer(make_window, scene, qtbot):

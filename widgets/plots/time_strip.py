@@ -75,8 +75,8 @@ _STEPS: Final[dict[int, int]] = {
 }
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
-#: Frames are lost between two whose interval is the usual one times this, or more.
-_LOST = 1.8
+#: A curve is interrupted where no frame is for longer than this, seconds, and than the usual interval times this.
+STALL_S, STALL_FACTOR = 1.0, 3.0
 
 
 class _StripPlot(Plot):
@@ -262,9 +262,9 @@ class TimeStrip(QWidget):
         shown = self._values.get(curve.key, np.full(len(self.seconds), math.nan))
         known = np.flatnonzero(self._computed)
         joined: Any = "finite"
-        if not self._live and len(known) > 1:  # the line ends where frames are lost
+        if not self._live and len(known) > 1:  # single lost frames leave no gap
             steps_s = np.diff(self.seconds)
-            lost = np.append(0, np.cumsum(steps_s > _LOST * np.median(steps_s)))[known]
+            lost = np.append(0, np.cumsum(steps_s > max(STALL_S, STALL_FACTOR * np.median(steps_s))))[known]
             joined = np.append((lost[1:] == lost[:-1]) & np.isfinite(shown[known][1:] + shown[known][:-1]), False)
         self._line.setData(self.seconds[known], shown[known], connect=joined)
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
