@@ -13,26 +13,34 @@ from .compiling import kernel
 CELL_PX: Final = 8
 #: Powers of x and y of the coefficients.
 POWERS: Final = np.array(((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+#: What is left of a diagonal element, of itself, where a window tells no more.
+_SINGULAR: Final = np.float32(1e-6)
 # a check for division by zero keeps loops from working on several cells
 _fast_kernel = partial(kernel, error_model="numpy")
 
 
 @_fast_kernel
-def average_cells(counts: Any, top: Any, left: Any, step: Any, means: Any, shares: Any) -> None:
+def average_cells(counts: Any, top: Any, left: Any, step: Any, sums: Any, means: Any, shares: Any) -> None:
     """Write the mean of the valid counts (uint16) of each cell, (H, W), and the share of its pixels that are valid.
 
-    The cells begin at pixel (``top``, ``left``); of their rows every ``step``-th is read. Without branches, and with a
-    size that the compiler knows, it vectorises.
+    The cells begin at pixel (``top``, ``left``); of their rows every ``step``-th is read. ``sums`` (int32) is a buffer
+    of two rows of pixels: whole rows are added up, which vectorises, and only then the pixels of a cell.
     """
     for row in range(means.shape[0]):
+        sums[:] = 0
+        for v in range(top + row * CELL_PX, top + (row + 1) * CELL_PX, step):
+            line = counts[v, left : left + sums.shape[1]]
+            for u in range(sums.shape[1]):
+                count = np.int32(line[u])
+                has_depth = (count > 0) & (count < 65535)
+                sums[0, u] += count if has_depth else np.int32(0)
+                sums[1, u] += np.int32(has_depth)
         for column in range(means.shape[1]):
             total, known = np.int32(0), np.int32(0)
-            for v in range(top + row * CELL_PX, top + (row + 1) * CELL_PX, step):
-                for i in range(CELL_PX):
-                    count = np.int32(counts[v, left + column * CELL_PX + i])
-                    has_depth = (count > 0) & (count < 65535)
-                    total += count if has_depth else np.int32(0)
-                    known += np.int32(has_depth)
+            for u in range(column * CELL_PX, (column + 1) * CELL_PX):
+                total += sums[0, u]
+                known += sums[1, u]
             means[row, column] = total / max(known, np.int32(1))
             shares[row, column] = known * step / (CELL_PX * CELL_PX)
 
@@ -44,71 +52,76 @@ def fit_quadrics(
     """Fit a quadratic about each cell in a window; write coefficients and the growth of the curvature's variance.
 
     ``images`` (2, H, W) are the weight of each cell, and its depth times that; ``window`` (5, N) is the window of one
-    direction times powers of the way from its centre. ``out`` (6, H, W) and ``growth`` (H, W), the sum of the last
+    direction times powers of the way from its centre. ``out`` (6, H W) and ``growth`` (H W), the sum of the last
     diagonal elements of the inverse that belong to xx and yy, receive nan where the weight in the window is not above
-    ``least``. ``across`` (8, H, W), ``moments`` (8, 5, W) and ``work`` (7, 6, W) are buffers: the cells of a row are
-    computed side by side. The normal equations are solved by Cholesky's method, with reciprocals on the diagonal.
+    ``least``. ``across`` (8, H, W), ``moments`` (8, 5, R W) and ``work`` (7, 6, R W) are buffers: the cells of R rows
+    are computed side by side. All but the results are float32. The normal equations are solved by Cholesky's method,
+    with reciprocals on the diagonal.
     """
-    height, width = growth.shape
-    reach, cells = window.shape[1] // 2, range(width)
+    height, width = across.shape[1:]
+    reach = window.shape[1] // 2
     for part in range(8):  # five powers of x for the weight, three for the depth
         power, image = (part, 0) if part < 5 else (part - 5, 1)
         for v in range(height):
-            for u in cells:
-                across[part, v, u] = 0.0
+            across[part, v] = _ZERO
             for t in range(-reach, reach + 1):
                 source, target = images[image, v, max(t, 0) :], across[part, v, max(-t, 0) :]
                 for u in range(width - abs(t)):
                     target[u] += window[power, reach + t] * source[u]
-    for v in range(height):
+    rows = moments.shape[2] // width
+    for top in range(0, height, rows):
+        bottom = min(top + rows, height)
+        first, cells = top * width, range((bottom - top) * width)
         for part in range(8):
             for power in range(5 - part if part < 5 else 8 - part):
-                for u in cells:
-                    moments[part, power, u] = 0.0
-                for t in range(max(-reach, -v), min(reach + 1, height - v)):
-                    for u in cells:
-                        moments[part, power, u] += window[power, reach + t] * across[part, v + t, u]
-        for u in cells:
-            growth[v, u] = 0.0 if moments[0, 0, u] > least else np.nan
+                for v in range(top, bottom):
+                    target = moments[part, power, v * width - first :]
+                    target[:width] = _ZERO
+                    for t in range(max(-reach, -v), min(reach + 1, height - v)):
+                        source = across[part, v + t]
+                        for u in range(width):
+                            target[u] += window[power, reach + t] * source[u]
+        for n in cells:
+            growth[first + n] = 0.0 if moments[0, 0, n] > least else np.nan
         for i in range(6):
             for j in range(i + 1):
                 x, y = POWERS[i, 0] + POWERS[j, 0], POWERS[i, 1] + POWERS[j, 1]
-                for u in cells:
-                    work[i, j, u] = moments[x, y, u]
+                for n in cells:
+                    work[i, j, n] = moments[x, y, n]
                 for k in range(j):
-                    for u in cells:
-                        work[i, j, u] -= work[i, k, u] * work[j, k, u]
+                    for n in cells:
+                        work[i, j, n] -= work[i, k, n] * work[j, k, n]
                 if i == j:
-                    for u in cells:
-                        good = work[i, i, u] > 1e-9 * moments[x, y, u]
-                        growth[v, u] = growth[v, u] if good else np.nan
-                        work[i, i, u] = 1.0 / np.sqrt(work[i, i, u] if good else 1.0)
+                    for n in cells:
+                        good = work[i, i, n] > _SINGULAR * moments[x, y, n]
+                        growth[first + n] = growth[first + n] if good else np.nan
+                        work[i, i, n] = _ONE / np.sqrt(work[i, i, n] if good else _ONE)
                 else:
-                    for u in cells:
-                        work[i, j, u] *= work[j, j, u]
+                    for n in cells:
+                        work[i, j, n] *= work[j, j, n]
         for column in range(3):  # the depth, and the unit vectors of xx and yy
             for i in range(6):
-                for u in cells:
-                    depth = moments[5 + POWERS[i, 0], POWERS[i, 1], u]
-                    work[6, i, u] = depth if column == 0 else 1.0 if i == 1 + 2 * column else 0.0
+                for n in cells:
+                    depth = moments[5 + POWERS[i, 0], POWERS[i, 1], n]
+                    work[6, i, n] = depth if column == 0 else _ONE if i == 1 + 2 * column else _ZERO
                 for k in range(i):
-                    for u in cells:
-                        work[6, i, u] -= work[i, k, u] * work[6, k, u]
-                for u in cells:
-                    work[6, i, u] *= work[i, i, u]
+                    for n in cells:
+                        work[6, i, n] -= work[i, k, n] * work[6, k, n]
+                for n in cells:
+                    work[6, i, n] *= work[i, i, n]
             for i in range(5, -1, -1):
                 for k in range(i + 1, 6):
-                    for u in cells:
-                        work[6, i, u] -= work[k, i, u] * work[6, k, u]
-                for u in cells:
-                    work[6, i, u] *= work[i, i, u]
+                    for n in cells:
+                        work[6, i, n] -= work[k, i, n] * work[6, k, n]
+                for n in cells:
+                    work[6, i, n] *= work[i, i, n]
             if column == 0:
                 for i in range(6):
-                    for u in cells:
-                        out[i, v, u] = work[6, i, u] if growth[v, u] == 0.0 else np.nan
+                    for n in cells:
+                        out[i, first + n] = work[6, i, n] if growth[first + n] == 0.0 else np.nan
             else:
-                for u in cells:
-                    growth[v, u] += work[6, 1 + 2 * column, u]
+                for n in cells:
+                    growth[first + n] += work[6, 1 + 2 * column, n]
 
 
 @_fast_kernel

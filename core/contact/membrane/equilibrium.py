@@ -291,7 +291,8 @@ def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, ri
     unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
     # Points are averaged, not depths: at the image's border their mean is shifted, but lies on the surface.
     mean, share, bulge = np.empty((3, *shape), np.float32)
-    average_cells(frame.tactile_depth, 0, 0, 4, mean, share)  # every fourth row tells enough
+    sums = np.empty((2, shape[1] * BLOCK_PX), np.int32)
+    average_cells(frame.tactile_depth, 0, 0, 4, sums, mean, share)  # every fourth row tells enough
     z = share * (mean * np.float32(unit_m) + np.float32(offset_m))
     points = np.dstack([_rays_of_blocks(camera) * z[..., None], z, share])
     membrane_kernels.bulges(

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
+from ...model.arrays import BoolArray, Float32Array, Float64Array, Int32Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.intrinsics import Intrinsics
 from ..kernels.quadric import CELL_PX, POWERS, add_triangles, average_cells, bend_quadrics, fit_quadrics
@@ -24,6 +24,9 @@ _MIN_SHARE: Final = 0.5
 _STEEPEST, _SURFACE_SHARE = 3.0, 0.05
 #: Smallest share of a window that must be seen for a curvature, and for a depth.
 _WINDOW_SHARE, _DEPTH_SHARE = 0.6, 0.3
+
+#: Cells that are fitted side by side: what they need stays in the processor's cache.
+_BLOCK: Final = 512
 
 #: Mean depth of the cells, metres, and the share of their pixels with depth.
 Cells = tuple[Float64Array, Float64Array]
@@ -50,15 +53,20 @@ class Grid(NamedTuple):
         rows, columns = (slice(CELL_PX * first, CELL_PX * end) for first, end in ranges)
         return cls(rays[..., 0], rays[..., 1], (CELL_PX / lens.fx, CELL_PX / lens.fy), (rows, columns))
 
-    def to_image(self, values: Float32Array, shape: tuple[int, int], beyond: float) -> Float32Array:
-        """Return values of the cells on the pixels of an image, interpolated; ``beyond`` outside the cells."""
+    def on_pixels(self, values: Float64Array) -> Float32Array:
+        """Return values of the cells on the pixels that the cells cover, interpolated."""
         import cv2
 
         rows, columns = self.pixels
-        image = np.full(shape, beyond, np.float32)
         size = columns.stop - columns.start, rows.stop - rows.start
-        image[self.pixels] = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
-        return image
+        return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_LINEAR))
+
+    def numbers(self, shape: tuple[int, int]) -> Int32Array:
+        """Return the flat number of each pixel's cell, flat; 0 beyond the cells."""
+        found = np.zeros(shape, np.int32)
+        cells = np.arange(self.x.size).reshape(self.x.shape)
+        found[self.pixels] = cells.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
+        return found.reshape(-1)
 
     def around(self, cells: BoolArray) -> tuple[int, int, int, int]:
         """Return left, top, right and bottom of the pixels around the cells that are true."""
@@ -68,11 +76,6 @@ class Grid(NamedTuple):
             for each, side in zip(found, self.pixels, strict=True)
         )
         return left, top, right, bottom
-
-    def cells_of(self, pixels: IndexArray, width: int) -> tuple[IndexArray, IndexArray]:
-        """Return row and column of the cells that hold flat pixels of an image."""
-        v, u = np.divmod(pixels, width)
-        return (v - self.pixels[0].start) // CELL_PX, (u - self.pixels[1].start) // CELL_PX
 
     def points(self, depth_m: Float64Array) -> Float64Array:
         return np.stack([self.x * depth_m, self.y * depth_m, depth_m], axis=-1)
@@ -115,7 +118,9 @@ def cells(counts: Uint16Array, unit_m: float, offset_m: float, grid: Grid) -> Ce
     import cv2
 
     depth, share = np.empty_like(grid.x), np.empty_like(grid.x)
-    average_cells(counts, grid.pixels[0].start, grid.pixels[1].start, 1, depth, share)
+    rows, columns = grid.pixels
+    sums = np.empty((2, columns.stop - columns.start), np.int32)
+    average_cells(counts, rows.start, columns.start, 1, sums, depth, share)
     depth = depth * unit_m + offset_m
     seen = share >= _MIN_SHARE
     near, far = (np.where(seen, depth, beyond) for beyond in (np.inf, -np.inf))
@@ -132,10 +137,16 @@ def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool =
     """Fit a quadratic to the depth about each cell, in a Gaussian window of ``sigma`` cells."""
     powers, variance = _window(sigma)
     height, width = share.shape
+    block = max(_BLOCK // width, 1) * width
     found, growth = np.empty((6, height, width)), np.empty_like(share)
-    buffers = np.empty((8, height, width)), np.empty((8, 5, width)), np.empty((7, 6, width))
+    buffers = (np.empty(shape, np.float32) for shape in ((8, height, width), (8, 5, block), (7, 6, block)))
     least = _WINDOW_SHARE if curved else _DEPTH_SHARE
-    fit_quadrics(np.stack([share, share * depth_m]), powers, least, *buffers, found, growth)
+    middle_m = float(depth_m.sum() / max(np.count_nonzero(depth_m), 1))
+    images = np.stack([share, share * (depth_m - middle_m)]).astype(np.float32)
+    fit_quadrics(
+        images, powers.astype(np.float32), np.float32(least), *buffers, found.reshape(6, -1), growth.reshape(-1)
+    )
+    found[0] += middle_m
     found /= (sigma ** POWERS.sum(axis=1))[:, None, None]
     return Shape(found, np.sqrt(np.maximum(growth / variance, 1.0)))
 

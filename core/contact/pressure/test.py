@@ -116,7 +116,7 @@ class PressureTest(ContactTest):
             self._contact, self._kept = keep(pressed, large), self._places[large]
         if due("force"):
             held = np.zeros_like(self._touching)
-            held[self._cells_of(self._kept)] = True
+            held.reshape(-1)[rest.numbers[self._kept]] = True
             touching = _parts_with(self._touching, held)
             self._facts = self._facts_of(now, touching, self._contact, frame, preset.pressure)
         groups = self._inside, self._seen, self._pressed, self._contact
@@ -125,29 +125,31 @@ class PressureTest(ContactTest):
     def _in_cells(self, cells: Float64Array, places: IndexArray) -> BoolArray:
         """Return at which flat tactile pixels a level of the cells is above 0."""
         assert self._rest is not None
-        levels = self._rest.grid.to_image(cells.astype(np.float32), self.pixels.rig.tactile.intrinsics.shape, -1.0)
-        return np.asarray(levels.reshape(-1)[places] > 0)
-
-    def _cells_of(self, places: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """Return row and column of the cells that hold flat tactile pixels."""
-        assert self._rest is not None
-        return self._rest.grid.cells_of(places, self.pixels.rig.tactile.intrinsics.width)
+        inside = np.zeros(self.pixels.rig.tactile.intrinsics.shape, np.bool_)
+        inside[self._rest.grid.pixels] = self._rest.grid.on_pixels(cells) > 0
+        return inside.reshape(-1)[places]
 
     def _facts_of(
         self, now: _Now, touching: BoolArray, contact: Candidates, frame: SensorFrame, section: PressureSection
     ) -> PressureFacts:
         """Return map and force, that of all contacts together, in the proximity depth frame."""
         assert self._rest is not None
-        rig, rest, relative, sigmas = self.pixels.rig, self._rest, now.relative.astype(np.float32), now.sigmas
+        rig, rest, relative, sigmas = self.pixels.rig, self._rest, now.relative, now.sigmas.reshape(-1)
         force, sigma, at_rim, agrees = now.force(touching)
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
-        on_membrane = Lazy(lambda: rest.grid.to_image(relative, rig.tactile.intrinsics.shape, math.nan))
+
+        def relative_on_membrane() -> Float32Array:
+            found = np.full(rig.tactile.intrinsics.shape, np.nan, np.float32)
+            found[rest.grid.pixels] = rest.grid.on_pixels(relative)
+            return found
+
+        on_membrane = Lazy(relative_on_membrane)
 
         def at(pixels: IndexArray) -> Float32Array:
             return on_membrane.get().reshape(-1)[self.pixels.tactile_pixels(pixels, frame)]
 
         def sigmas_at(pixels: IndexArray) -> Float64Array:
-            return sigmas[self._cells_of(self.pixels.tactile_pixels(pixels, frame))]
+            return sigmas[rest.numbers[self.pixels.tactile_pixels(pixels, frame)]]
 
         def image() -> Float32Array:
             if not rig.has_proximity:
@@ -207,6 +209,7 @@ class _Rest:
         seen = min(counts.shape) >= CELL_PX and valid_depth(counts).any()
         if seen:
             self.grid: Grid = surface.Grid.of(lens, counts)
+            self.numbers = self.grid.numbers(counts.shape)
             depth_m, share = surface.cells(counts, self.unit_m, self.offset_m, self.grid)
             seen = (share > 0).any()
         if not seen:
