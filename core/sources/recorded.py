@@ -88,10 +88,11 @@ class RecordedSource(SeekableSource):
         self._first, self._second = pairs(first.times_s, second.times_s, farthest_s)
         self._unmatched = len(first.times_s) + len(second.times_s) - 2 * len(self._first)
         if not len(self._first):
+            apart_s = abs(float(np.median(first.times_s) - np.median(second.times_s)))
             raise SourceError(
                 f"{name}: no depth image of {first.calibration.depth.model} has one of "
-                f"{second.calibration.depth.model} within {farthest_s * 1e3:.1f} ms by their stamps; record both "
-                "cameras at once, with their clocks set"
+                f"{second.calibration.depth.model} within {farthest_s * 1e3:.1f} ms by their stamps, which are about "
+                f"{apart_s:.3g} s apart; shift the stamps of one topic if only the cameras' clocks differ"
             )
 
     @property

@@ -76,6 +76,7 @@ class CameraSource(FrameSource):
         self.name = name or (f"{SCHEME}:{','.join(serials)}" if all(serials) else f"{SCHEME}:")
         self._feeds: dict[CameraRole, CameraThread] = {}
         self._sequence = self._lost = 0
+        self._latest_s: dict[CameraRole, float] = {}
         self._ready: deque[tuple[Timed[Images], Timed[Images]]] = deque()
         self._changed = Condition()
         self._closed = False
@@ -147,11 +148,19 @@ class CameraSource(FrameSource):
 
     def health(self) -> Health:
         cameras = tuple(feed.health() for feed in self._feeds.values())
+        stale = time.monotonic() - self._last_frame_s > max(feed.silent_s for feed in self._feeds.values())
+        ok, said = all(camera.state == "streaming" for camera in cameras), [camera.message for camera in cameras]
+        if ok and stale and len(self._latest_s) == 2:
+            ok, apart_s = False, abs(self._latest_s["proximity"] - self._latest_s["tactile"])
+            said.append(
+                f"Both cameras send images, but their time stamps are {apart_s:.3g} s apart, so none belong together: "
+                "set the clocks of the computers or drivers that stamp them."
+            )
         return Health(
-            ok=all(camera.state == "streaming" for camera in cameras),
-            message=" ".join(camera.message for camera in cameras if camera.message),
+            ok=ok,
+            message=" ".join(filter(None, said)),
             dropped=self._lost + sum(feed.dropped for feed in self._feeds.values()),
-            stale=time.monotonic() - self._last_frame_s > max(feed.silent_s for feed in self._feeds.values()),
+            stale=stale,
             cameras=cameras,
             unmatched=self._pairer.unmatched,
         )
@@ -169,6 +178,7 @@ class CameraSource(FrameSource):
                 self._ready.append((alone, alone))
             else:
                 time_s = images.time_s - (self._delay_s if role == "tactile" else 0.0)
+                self._latest_s[role] = time_s
                 self._pairer.add(Timed(time_s, arrival_s, images), second=role == "tactile")
             self._ready += self._pairer.take(arrival_s)
             while len(self._ready) > _MAX_WAITING:

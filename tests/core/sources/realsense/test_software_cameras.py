@@ -134,6 +134,16 @@ def test_a_delay_of_the_tactile_camera_is_taken_off_its_stamps_before_pairing():
             assert abs(frame.proximity_time_s - time.time()) < 60.0
 
 
+def test_cameras_whose_clocks_differ_are_told():
+    with open_software_rig(cameras=CamerasSection().model_copy(update={"tactile_delay_s": 60.0})) as source:
+        deadline_s = time.monotonic() + 60
+        while (health := source.health()).ok:
+            assert time.monotonic() < deadline_s
+            source.wait(0.05)
+        assert health.stale
+        assert "60 s apart" in health.message
+
+
 def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):
     """A real D405's colour image is not exactly its depth image's: shift it and see it shifted back."""
     depth = session.source.rig.tactile
