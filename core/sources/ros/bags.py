@@ -22,6 +22,7 @@ import numpy as np
 from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
 from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
@@ -283,24 +284,32 @@ def open_bag(paths: Sequence[Path], progress: Progress | None = None) -> Bag:
 
 def _parts_of(folder: Path) -> list[Path]:
     """Return the files of a recording in the order of time."""
-    if not (folder / METADATA).exists():  # a recorder that was killed writes none
+    names = _names_in(folder / METADATA)
+    if names is None:
         paths = sorted((path for ending in BAG_ENDINGS for path in folder.glob(f"*{ending}")), key=_number)
         if not paths:
             raise SourceError(f"{folder} holds no recording ({', '.join(BAG_ENDINGS)}); choose another folder")
-        if len(names := {re.sub(r"(_\d+)?\..*", "", path.name) for path in paths}) != 1:
+        if len(starts := {re.sub(r"(_\d+)?\..*", "", path.name) for path in paths}) != 1:
             raise SourceError(
-                f"{folder} has no {METADATA} and files of {len(names)} recordings "
-                f"({', '.join(foreign(name, 40) for name in sorted(names)[:4])}); choose the files of one"
+                f"{folder} has no {METADATA} that can be read, and files of {len(starts)} recordings "
+                f"({', '.join(foreign(name, 40) for name in sorted(starts)[:4])}); choose the files of one"
             )
         return paths
-    text = read_file(folder / METADATA, _MAX_METADATA_BYTES).decode("utf-8")
-    names = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
     paths = [folder / name for name in dict.fromkeys(PurePath(name).name for name in names)]
     if missing := [path for path in paths if not path.is_file()]:
         raise SourceError(f"{folder} lacks {missing[0].name}, which {METADATA} names; copy all files of the recording")
     if not paths:
         raise SourceError(f"{folder / METADATA} names no file; choose the files of the recording")
     return paths
+
+
+def _names_in(metadata: Path) -> list[str] | None:
+    """Return the files that metadata name; None where a recorder that was killed wrote none, or a part."""
+    try:
+        text = read_file(metadata, _MAX_METADATA_BYTES).decode("utf-8")
+        return list(map(str, YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]))
+    except (OSError, ValueError, YAMLError, LookupError, TypeError):
+        return None
 
 
 def _number(path: Path) -> tuple[int, str]:

@@ -28,12 +28,20 @@ def file_in(folder):
     return next(path for path in folder.iterdir() if path.name != "metadata.yaml")
 
 
+def with_half_metadata(folder):
+    """As a recorder that was killed leaves it."""
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(text[: text.index("relative_file_paths")])
+    return folder
+
+
 @pytest.mark.parametrize(
     ("kind", "opened"),
     [
         ("mcap", lambda path: path),
         ("mcap", file_in),
         ("mcap", lambda path: path / "metadata.yaml"),
+        ("mcap", with_half_metadata),
         ("sqlite", lambda path: path),
         ("sqlite", file_in),
         ("messages", lambda path: path),
