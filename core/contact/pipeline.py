@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch, Lazy
 from .alignment import make_alignment
+from .average import AveragedDepth
 from .checks import check_rig, check_test
 from .contact_test import ContactTest, Steps
 from .doubt import DoubtEstimator
-from .membrane.average import AveragedDepth
 from .pixels import Pixels, Workspace
 
 if TYPE_CHECKING:

@@ -154,14 +154,21 @@ class Pixels:
         in_parallel(partial(kernels.find_candidates, images, test, color, tiles, out), height, rows)
         return workspace.collect([slice(v * width, v * width + int(out.counts[v])) for v in range(0, height, rows)])
 
-    def classify(self, frame: SensorFrame, tolerance: float = np.inf) -> Uint8Array:
-        """Return each pixel's verdict of depth, region, range and tolerance; those that agree have CONTACT."""
+    def agreeing(self, frame: SensorFrame, tolerance: float) -> IndexArray:
+        """Return the flat pixels whose depths agree within a tolerance, whatever their colour; for any thread."""
+        count, height = frame.proximity_depth.size, frame.proximity_depth.shape[0]
+        out = kernels.CandidateArrays(np.empty(count, np.intp), np.empty(3 * count, np.float32), np.empty(1, np.int64))
+        color = self.color_test(frame)._replace(hsv=_NO_LIMITS)
+        tiles, _ = self.coarse.every_tile
+        kernels.find_candidates(depth_images(frame), self.test(tolerance), color, tiles, out, 0, height)
+        return np.asarray(out.pixels[: int(out.counts[0])])
+
+    def classify(self, frame: SensorFrame) -> Uint8Array:
+        """Return each pixel's verdict of depth, region and range; the others have CONTACT."""
         counts, aligned, (left, top, right, bottom) = frame.proximity_depth, self.aligned(frame), self.region
         depth_m = counts * np.float32(self.rig.proximity.depth_unit_m)
-        apart_m = aligned.expected_m - aligned.measured_m
-        passed = np.abs(apart_m) <= np.float32(tolerance) * np.abs(aligned.expected_m)
-        verdicts = np.where(passed, np.uint8(Provenance.CONTACT), np.uint8(Provenance.OUTSIDE_TOLERANCE))
-        verdicts[np.isnan(apart_m)] = Provenance.NO_TACTILE_DEPTH
+        verdicts = np.full(counts.shape, Provenance.CONTACT, np.uint8)
+        verdicts[np.isnan(aligned.expected_m - aligned.measured_m)] = Provenance.NO_TACTILE_DEPTH
         verdicts[(depth_m < self.limits.nearest_m) | (depth_m > self.limits.farthest_m)] = Provenance.OUTSIDE_RANGE
         outside = np.ones(counts.shape, np.bool_)
         outside[top:bottom, left:right] = False

@@ -119,7 +119,7 @@ class ToleranceTest(ContactTest):
             self._candidates = pixels.candidates(frame, t)
         if len(self._candidates) == 0:
             nothing = self._candidates, NO_CANDIDATES, NO_CANDIDATES
-            return Found(NO_CANDIDATES, lambda: _provenance(pixels.classify(frame, t), *nothing), ("no candidates",))
+            return Found(NO_CANDIDATES, lambda: _provenance(pixels, frame, t, *nothing), ("no candidates",))
         from .outliers.clusters import without_small_clusters  # a frame without candidates does not wait for it
         from .outliers.statistical import without_outliers
 
@@ -130,7 +130,7 @@ class ToleranceTest(ContactTest):
         if due("clusters"):
             self._contact = without_small_clusters(self._inliers, camera, section.min_cluster_area_mm2)
         steps = self._candidates, self._inliers, self._contact
-        return Found(self._contact, lambda: _provenance(pixels.classify(frame, t), *steps))
+        return Found(self._contact, lambda: _provenance(pixels, frame, t, *steps))
 
     @classmethod
     def accepted_share(cls, preset: Preset, distance_m: float) -> float:
@@ -143,11 +143,14 @@ class ToleranceTest(ContactTest):
         return BiasLimits(HARMLESS_SHARE * largest_m, largest_m)
 
 
-def _provenance(verdicts: Uint8Array, candidates: Candidates, inliers: Candidates, contact: Candidates) -> Uint8Array:
-    """Write the verdicts of the later steps over those of `Pixels.classify`."""
-    pixels = verdicts.reshape(-1)
-    pixels[pixels == Provenance.CONTACT] = Provenance.MASKED
-    pixels[candidates.pixels] = Provenance.OUTLIER
-    pixels[inliers.pixels] = Provenance.SMALL_CLUSTER
-    pixels[contact.pixels] = Provenance.CONTACT
-    return verdicts
+def _provenance(
+    pixels: Pixels, frame: SensorFrame, t: float, candidates: Candidates, inliers: Candidates, contact: Candidates
+) -> Uint8Array:
+    image = pixels.classify(frame)
+    verdicts = image.reshape(-1)
+    verdicts[verdicts == Provenance.CONTACT] = Provenance.OUTSIDE_TOLERANCE
+    verdicts[pixels.agreeing(frame, t)] = Provenance.MASKED
+    verdicts[candidates.pixels] = Provenance.OUTLIER
+    verdicts[inliers.pixels] = Provenance.SMALL_CLUSTER
+    verdicts[contact.pixels] = Provenance.CONTACT
+    return image

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.core.contact.membrane.average import AveragedDepth
+from tactune.core.contact.average import AveragedDepth
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 

@@ -22,7 +22,6 @@ from tactune.core.contact.kernels.simd import LANES, bits, load_colors
 from tactune.core.contact.kernels.tolerance import TILE_ROWS
 from tactune.core.contact.masking import in_hsv_range
 from tactune.core.contact.pixels import Pixels, Workspace, depth_images
-from tactune.core.model.patch import Provenance
 from tactune.core.preset import MaskSection, Preset
 
 PRESET = Preset(contact_test="tolerance")
@@ -33,8 +32,7 @@ def pixels_of(preset, rig):
 
 
 def tiles_with_candidates(preset, rig, frame):
-    verdicts = pixels_of(preset, rig).classify(frame, preset.tolerance.t)
-    v, u = np.nonzero(verdicts == Provenance.CONTACT)
+    v, u = np.divmod(pixels_of(preset, rig).agreeing(frame, preset.tolerance.t), frame.proximity_depth.shape[1])
     tiles = np.zeros(tile_grid(frame.proximity_depth.shape[1], frame.proximity_depth.shape[0]), bool)
     tiles[v // TILE_ROWS, u // LANES] = True
     return tiles

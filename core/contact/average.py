@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from ...model.arrays import Uint16Array
-from ...model.frames import Rig, SensorFrame
-from ...model.rig_noise import CameraNoise, RigNoise
-from ..kernels import membrane as kernels
-from ..kernels.threads import in_parallel
+from ..model.arrays import Uint16Array
+from ..model.frames import Rig, SensorFrame
+from ..model.rig_noise import CameraNoise, RigNoise
+from .kernels import membrane as kernels
+from .kernels.threads import in_parallel
 
 #: Side of the image blocks whose mean depth is compared with the average, pixels.
 _SIDE_PX: Final = 32
