@@ -75,7 +75,7 @@ class LiveTab(AnalysisTab):
         self._writing.done.connect(lambda sentence: self.messages.show_message("done", Severity.INFO, sentence))
         self._writing.failed.connect(partial(self._complain, "export"))
         self.status, self.messages, self.working = ElidedLabel(WAITING), Messages(self), JobRow(self.job)
-        self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E); frames count from 0")
+        self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E)")
         self.export.setShortcut("Ctrl+E")
         self.export.clicked.connect(self._ask_where)
         self.top = QHBoxLayout()
@@ -123,7 +123,7 @@ class LiveTab(AnalysisTab):
         result, found = done
         if self.result is None or result.source is not self.result.source:
             return
-        self.status.setText(f"Frame {result.frame_number} of {result.source.name}")
+        self.status.setText(f"Frame {result.playback.index} of {result.source.name}")
         row = self.show_found(result, found)
         self.rows.pop(result.frame.sequence, None)  # as in a loop, the newest is the last
         if row is not None:

@@ -125,7 +125,9 @@ class PointsPage(QWidget):
 
     def _show_points(self) -> None:
         state, selected = self._session.state, self._session.selected
+        half = state.pending if state.pending is not None and state.pending.snapshot == state.number else None
         for side, image in self.images.items():
+            image.awaits_point = half is not None and half.place(side) is None
             image.layer.set_marks(image_marks(state, self._outcome, side, self._session.rig, selected))
         self.table.set_records(table_rows(state, self._outcome))
         self.table.select(selected)
@@ -161,7 +163,8 @@ class PointsPage(QWidget):
         if elsewhere:
             return f"{counted(elsewhere, 'pair')} clicked in the other image of the left camera: not drawn here."
         if wrong := [pair.id for pair in state.pairs if pair.id in self._outcome.rejected]:
-            return f"The others contradict {', '.join(wrong[:9])}: drag the points, or press Remove."
+            remove = self.drop.text().replace("&", "")
+            return f"The others contradict {', '.join(wrong[:9])}: drag the points, or press {remove}."
         start = "Click" if state.pairs else "Press Find points, or click"
         return (
             f"{start} a dot in one image, then the same dot in the other. Drag or arrow keys correct; Ctrl + click "

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core.calibration.snapshots import take_snapshot as take_median
+from ...core.errors import counted
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import push_button
@@ -25,7 +26,7 @@ MOVED_LIMIT_M = 0.0025
 
 
 def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo) -> Snapshot:
-    """Average frames into one snapshot, named after its first frame; frames count from 1."""
+    """Average frames into one snapshot, named after its first frame."""
     taken = take_median(frames)
     last = number + frames[-1].sequence - frames[0].sequence
     name = f"Frame {number}" if len(frames) == 1 else f"Frames {number} to {last}"
@@ -59,7 +60,7 @@ class SnapshotStep(MeasuringStep):
         if result is not None and result.source.rig != self._rig:
             self._fail("Another rig is open now: close the wizard, and calibrate that one.")
             return
-        self._number = 0 if result is None else result.frame_number
+        self._number = 0 if result is None else result.playback.index
         super().begin()
 
     def share(self, kept: Sequence[SensorFrame]) -> float:
@@ -67,7 +68,7 @@ class SnapshotStep(MeasuringStep):
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         still, number = self._still(kept), self._number
-        self._end = "the membrane moves after them" if still < len(kept) else "the source has no more"
+        self._end = "then the membrane moved" if still < len(kept) else "the source has no more"
         return lambda _: take_snapshot(kept[: min(still, self.wanted)], number, info)
 
     def _still(self, kept: Sequence[SensorFrame]) -> int:
@@ -79,8 +80,8 @@ class SnapshotStep(MeasuringStep):
         return len(kept)
 
     def show_found(self, found: Snapshot) -> None:
-        few = found.averaged < FRAMES
-        words = f"{found.averaged} of {FRAMES} frames: {self._end}." if few else "Snapshot taken."
+        few = f"Averaged {counted(found.averaged, 'frame')} instead of {FRAMES}: {self._end}."
+        words = few if found.averaged < FRAMES else "Snapshot taken."
         self.sentence.setText(f"{words} Add another inflation level, or continue with the points.")
 
     def changes(self) -> dict[str, Any]:

@@ -192,7 +192,8 @@ def _process(
                 typer.echo(json.dumps(record | {"findings": [finding.sentence for finding in found]}, allow_nan=False))
             else:
                 if lines == "text":
-                    say(_line(patch, frame.proximity_time_s - first_s, scores))
+                    number = patch.sequence if source.length is None else done  # as the window counts
+                    say(_line(number, patch, frame.proximity_time_s - first_s, scores))
                 records.append({"area_mm2": patch.area_mm2, "stage_ms": patch.stage_ms, **scores})
             done += 1
             progress.frames(done, total)
@@ -229,7 +230,7 @@ def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
     }
 
 
-def _line(patch: ContactPatch, time_s: float, scores: Record) -> str:
+def _line(number: int, patch: ContactPatch, time_s: float, scores: Record) -> str:
     """Return a frame for people: number, time since the first one, area and centroid, doubt, force, processing time."""
     parts = ["no contact"]
     if patch.centroid_m is not None:
@@ -246,7 +247,7 @@ def _line(patch: ContactPatch, time_s: float, scores: Record) -> str:
     parts += [f"{key} {value:.3f}{TRUTH_KEYS[key]}" for key, value in scores.items() if type(value) is float]
     parts.append(f"{sum(patch.stage_ms.values()):.1f} ms")
     time = f"{time_s:.3f} s" if math.isfinite(time_s) else "-"
-    return "; ".join([f"{patch.sequence:6d}  {time}  {', '.join(parts)}", *patch.doubt.reasons])
+    return "; ".join([f"{number:6d}  {time}  {', '.join(parts)}", *patch.doubt.reasons])
 
 
 def _scores(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:

@@ -121,7 +121,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
             "record",
             "&Record",
             "F9",
-            "Record every frame of a live source, or finish the recording",
+            "Record every frame of a live source, or stop",
             "record",
             False,
         ),

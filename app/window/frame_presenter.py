@@ -141,9 +141,9 @@ class FramePresenter(QObject):
         if histogram is not None:  # the worker counts less often than frames come
             self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, histogram.known)
         shown_fps = self._status.show_result(result)
+        readings = patch_readings(result, shown_fps) if compared is None else ()  # they belong to the picture
+        self._views.views[CloudName.PATCH].set_readings(readings)
         if self._pace.due(result):
-            readings = patch_readings(result, shown_fps) if compared is None else ()
-            self._views.views[CloudName.PATCH].set_readings(readings)
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
             if strip is not None:  # else it is drawn with a later frame
                 self._panel.show_masked_share(strip.masked_share)

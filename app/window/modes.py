@@ -143,7 +143,7 @@ def next_step(mode: Mode, info: SourceInfo | None, dirty: bool, recording: bool)
             (True, "Let the newest frames propose values for all sections.", "suggest_all"),
         ),
         Mode.RUN: (
-            (recording, "Press the object, then finish the recording.", "record"),
+            (recording, "Press the object, then press Stop.", "record"),
             (live, "Record every frame of the cameras.", "record"),
             (True, "Export patch, recording or animation; I and O mark a part.", "export"),
         ),

@@ -89,7 +89,7 @@ class FrameStatus(QStatusBar):
         self.setSizeGripEnabled(False)
         self.setContentsMargins(0, 0, 8, 0)
         self._shown_rate = RateMeter()
-        self._pace = Pace(INTERVAL_S)
+        self._pace, self._shown_fps = Pace(INTERVAL_S), 0.0
         self._playback, self._stale, self._recording = PlaybackState(), False, False
         self.details = FrameDetails()  # the window puts it among the controls of a mode
         self.state = _flat_button("Rates, dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
@@ -115,12 +115,12 @@ class FrameStatus(QStatusBar):
         self._show_words()
 
     def show_result(self, result: Result) -> float:
-        """Count a frame as shown, and return the frames shown per second; the details wait for `INTERVAL_S`."""
+        """Count a frame as shown, and return the frames shown per second, anew every `INTERVAL_S` as the details."""
         self._shown_rate.tick()
-        shown_fps = self._shown_rate.rate()
         if self._pace.due(result):
-            self.details.show_result(result, shown_fps)
-        return shown_fps
+            self._shown_fps = self._shown_rate.rate()
+            self.details.show_result(result, self._shown_fps)
+        return self._shown_fps
 
     def _show_words(self) -> None:
         playback = self._playback

@@ -21,27 +21,27 @@ from .modes import Mode
 
 
 class FrameNumber(QSpinBox):
-    """The frame on the screen, from 1. Enter goes to the typed number; Esc brings back the one on the screen."""
+    """The frame on the screen, from 0. Enter goes to the typed number; Esc brings back the one on the screen."""
 
     def __init__(self) -> None:
         super().__init__()
-        named(self, "Frame number", "Frame, from 1 (files and commands count from 0). Type a number to go to it")
+        named(self, "Frame number", "Frame, from 0 as in files and commands. Type a number to go to it")
         self.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)  # Previous and Next stand beside it
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # not by the wheel: while it has the focus it stands still
         self.setKeyboardTracking(False)
-        self.setRange(1, 99_999_999)
-        self.setFixedWidth(self.fontMetrics().horizontalAdvance("00000 of 00000") + 12)
+        self.setRange(0, 99_999_999)
+        self.setFixedWidth(self.fontMetrics().horizontalAdvance("00000 / 00000") + 12)
         self.editingFinished.connect(self.clearFocus)
 
     def show_frame(self, index: int, length: int | None) -> None:
         """Show a frame; what a person types stays until it is finished."""
         if not self.hasFocus():
-            suffix = f" of {length}" if length is not None else ""
+            suffix = f" / {length - 1}" if length is not None else ""
             with QSignalBlocker(self):
                 if suffix != self.suffix():  # both of these lay out the whole window
-                    self.setMaximum(length or 99_999_999)
+                    self.setMaximum(99_999_999 if length is None else length - 1)
                     self.setSuffix(suffix)
-                self.setValue(index + 1)
+                self.setValue(index)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is not None and event.key() == Qt.Key.Key_Escape:
@@ -62,7 +62,7 @@ class Transport(QWidget):
         self.setAutoFillBackground(True)  # else each frame number would paint all widgets behind it
         self.state = PlaybackState(length=1)
         self.position = FrameNumber()
-        self.position.valueChanged.connect(lambda number: self.seekRequested.emit(number - 1))
+        self.position.valueChanged.connect(self.seekRequested)
         actions.go_to.triggered.connect(self._go_to)
         buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop))
         hbox(*buttons, self.position, within=self, margins=0, spacing=4)
@@ -98,7 +98,7 @@ class Transport(QWidget):
 
 
 class _NameButton(QPushButton):
-    """A caption and a name, elided at its start: its end distinguishes one path from another. It keeps its width."""
+    """A caption and a name, elided behind its scheme, since its end tells paths apart. It keeps its width."""
 
     WIDTH = 184
 
@@ -110,9 +110,10 @@ class _NameButton(QPushButton):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
 
     def show_name(self, name: str, tip: str) -> None:
-        caption = f"{self._caption}: "
+        scheme = name[: name.find(":") + 1]  # stays: live: is no recording any more
+        caption = f"{self._caption}: {scheme}"
         room = self.WIDTH - 28 - self.fontMetrics().horizontalAdvance(caption)
-        elided = self.fontMetrics().elidedText(name, Qt.TextElideMode.ElideLeft, room)
+        elided = self.fontMetrics().elidedText(name.removeprefix(scheme), Qt.TextElideMode.ElideLeft, room)
         self.setText(_literal(caption + elided))
         self.setToolTip(tip)
 

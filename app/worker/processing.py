@@ -136,8 +136,10 @@ class FrameProcessor:
         render_ms = 1e3 * (time.perf_counter() - started)
         self._processed += 1
         patch = self._present.patch
-        if wanted.words or patch is None or self._doubt is None or not self._doubt.touch_probability:
+        if patch is None or self._doubt is None:
             self._doubt = None if patch is None else patch.doubt
+        elif wanted.words or bool(len(patch.points)) != bool(self._doubt.touch_probability):  # contact began or ended
+            self._doubt = patch.doubt
         return Result(
             source=info,
             frame=frame,

@@ -197,7 +197,7 @@ class Result:
     preset: Preset
     patch: ContactPatch | None
     area_mm2: float
-    doubt: Doubt | None  # of the patch
+    doubt: Doubt | None  # of the patch, or while frames play of one a moment before
     force_arrow_m: Float64Array | None  # as in `ContactPatch`
     rendered: Rendered
     playback: PlaybackState
@@ -210,11 +210,6 @@ class Result:
     read_ms: float = 0.0
     render_ms: float = 0.0
     compared: ComparedFrame | None = None
-
-    @property
-    def frame_number(self) -> int:
-        """Number of the frame in its source as windows show it, counted from 1; files and commands count from 0."""
-        return self.playback.index + 1
 
 
 class Pace:

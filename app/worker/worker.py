@@ -85,6 +85,7 @@ class Worker(QThread):
         self._frame: SensorFrame | None = None
         self._newest: SensorFrame | None = None
         self._failing = False
+        self._dropped_before = 0  # with former sources
         self._told = self._playback.state
         self._redo = False
         self._publisher: Publisher | None = None
@@ -260,6 +261,7 @@ class Worker(QThread):
     def _use_source(self, source: FrameSource) -> None:
         self._close_source(f"{source.name} was opened")
         self._info = SourceInfo.of(source)
+        self._dropped_before = self._mailbox.dropped
         self._processor.forget()
         self._examination.forget()
         self._untouched.forget()
@@ -348,7 +350,7 @@ class Worker(QThread):
         try:
             frame = self._reader.read(index)
         except Exception as error:
-            self._fail(explain(error, f"frame {index + 1} of {self._info.name} could not be read"))
+            self._fail(explain(error, f"frame {index} of {self._info.name} could not be read"))
             return None
         if frame is None:
             self._stand_still()
@@ -365,16 +367,16 @@ class Worker(QThread):
         assert self._info is not None
         self._redo = False
         health = self._state.health
-        not_taken = self._live.dropped if self._live is not None else 0
+        not_taken = self._mailbox.dropped - self._dropped_before + (self._live.dropped if self._live is not None else 0)
         try:
             result = self._processor.process(
                 self._info, frame, self._preset, self._wanted, self._playback.state,
-                dropped=self._mailbox.dropped + not_taken + health.dropped,
+                dropped=not_taken + health.dropped,
                 unmatched=health.unmatched, read_ms=read_ms, compared=self._compared,
                 held=self._playback.held,
             )  # fmt: skip
         except Exception as error:
-            number = self._playback.state.index + 1
+            number = self._playback.state.index
             self._fail(explain(error, f"frame {number} of {self._info.name} could not be processed"))
             return
         if self._failing:

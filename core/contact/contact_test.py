@@ -39,9 +39,7 @@ class DropReason(NamedTuple):
     action: str = ""
 
 
-MASK_REASON: Final = DropReason(
-    "the mask", "rightly, if these are prints; if something touches, narrow its colour ranges"
-)
+MASK_REASON: Final = DropReason("the mask", "if something touches there, narrow its colour ranges")
 
 
 class BiasLimits(NamedTuple):
@@ -164,6 +162,9 @@ class ContactTest(ABC):
             return f"No contact yet: press the object into the membrane, or {cls.looser_words}", ""
         by = max(dropped, key=lambda verdict: dropped[verdict])
         reason = cls.drop_reasons[by]
+        if reason is MASK_REASON:  # as over prints of an untouched membrane
+            left_out = counted(dropped[by], "point")
+            return f"Nothing in contact. The mask left out {left_out}; {reason.remedy}", reason.action
         share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
         near = f"{counted(total, 'point')} {cls.near_words}"
         return f"No contact: {near}, but {reason.step} dropped {share}; {reason.remedy}", reason.action

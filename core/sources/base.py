@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 Progress = Callable[[float, str], None]
 
 
-def part_of(progress: Progress, number: int, count: int) -> Progress:
+def part_of(progress: Progress | None, number: int, count: int) -> Progress:
     """Return the progress of one of several equal parts of a task, counted from 0."""
-    return lambda share, words: progress((number + share) / count, words)
+    return lambda share, words: None if progress is None else progress((number + share) / count, words)
 
 
 def frames_to_write(source: FrameSource, frames: int | None, progress: Progress | None) -> Iterator[SensorFrame]:

@@ -22,7 +22,7 @@ from ..model.arrays import AnyArray, Float64Array
 from ..model.files import recording_files, user_path
 from ..model.frames import DepthCamera, camera_pose, pose_matrix
 from ..model.intrinsics import Distortion, Intrinsics
-from .base import Progress
+from .base import Progress, part_of
 from .cameras.camera import Calibration
 from .cameras.pairing import nearest
 from .recorded import RecordedCamera, RecordedSource
@@ -49,7 +49,10 @@ class BagSource(RecordedSource):
         if not paths:
             raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
         with ExitStack() as resources:
-            recordings = [resources.enter_context(closing(open_recording(path, progress))) for path in paths]
+            recordings = [
+                resources.enter_context(closing(open_recording(path, part_of(progress, number, len(paths)))))
+                for number, path in enumerate(paths)
+            ]
             lacks = [
                 f"{recording.path.name} was not finished when it was recorded: it is shown up to its last whole part"
                 for recording in recordings
@@ -115,9 +118,9 @@ def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[F
 class RecordingFile(ABC):
     """An open recording. A subclass reads what one version of librealsense writes."""
 
-    def __init__(self, path: Path, bag: Bag, progress: Progress | None) -> None:
-        self.path, self.bag, self.progress = path, bag, progress
-        self.cameras = self._find_cameras()
+    def __init__(self, path: Path, bag: Bag, progress: Progress) -> None:
+        self.path, self.bag = path, bag
+        self.cameras = self._find_cameras(progress)
 
     def close(self) -> None:
         self.bag.close()
@@ -135,7 +138,7 @@ class RecordingFile(ABC):
         """Return the depth unit of a sensor, or None if the recording does not say it."""
 
     @abstractmethod
-    def _times(self, topic: str, images: str) -> tuple[Float64Array, str]:
+    def _times(self, topic: str, images: str, progress: Progress) -> tuple[Float64Array, str]:
         """Return the stamps of a stream, s, and the clock of these, empty if unknown; no image is decoded for this."""
 
     @abstractmethod
@@ -146,23 +149,27 @@ class RecordingFile(ABC):
     def _pose(self, topic: str) -> Float64Array:
         """Return the 4 x 4 matrix of a pose."""
 
-    def _find_cameras(self) -> list[tuple[RecordedCamera, Stream]]:
+    def _find_cameras(self, progress: Progress) -> list[tuple[RecordedCamera, Stream]]:
         found: dict[tuple[int, str], tuple[str, str]] = {}
         for topic in sorted(self.bag.types):
             if match := _STREAM.fullmatch(topic):
                 found.setdefault((int(match[2]), match[3]), (match[1], topic))
-        streams = {key: self._stream(key[1], *topics) for key, topics in found.items()}
+        streams = {
+            key: self._stream(key[1], *topics, part_of(progress, number, len(found)))
+            for number, (key, topics) in enumerate(found.items())
+        }
         return [
             (self._camera(number, stream, streams.get((number, "Color"))), stream)
             for (number, kind), stream in sorted(streams.items())
             if kind == "Depth"
         ]
 
-    def _stream(self, kind: str, topic: str, images: str) -> Stream:
+    def _stream(self, kind: str, topic: str, images: str, progress: Progress) -> Stream:
         lens, rate_hz = self._lens(topic)
         lens["distortion"] = Distortion(lens["distortion"].lower().replace(" ", "_"))
         lens["coefficients"] = tuple(map(float, lens["coefficients"]))
-        recorded_s, (stamps_s, clock) = np.array(self.bag.times_ns(images) * 1e-9), self._times(topic, images)
+        recorded_s = np.array(self.bag.times_ns(images) * 1e-9)
+        stamps_s, clock = self._times(topic, images, progress)
         # The first images of a camera may be on its own clock, until the driver knows its offset to the computer's.
         ahead_s = stamps_s - recorded_s
         usual_s = np.median(ahead_s)
@@ -202,7 +209,7 @@ class RecordingFile(ABC):
         return RecordedCamera(self.path, calibration, depth.rate_hz, depth.stamps_s, depth.read, read_color, partners)
 
 
-def open_recording(path: Path, progress: Progress | None = None) -> RecordingFile:
+def open_recording(path: Path, progress: Progress) -> RecordingFile:
     bag = open_bag([path])
     try:
         with damage_told(path, "this is no readable RealSense recording"):
@@ -252,13 +259,13 @@ class BagFile(RecordingFile):
     def _pose(self, topic: str) -> Float64Array:
         return matrix_of(self._first(topic))
 
-    def _times(self, topic: str, images: str) -> tuple[Float64Array, str]:
+    def _times(self, topic: str, images: str, progress: Progress) -> tuple[Float64Array, str]:
         about = f"{topic}/image/metadata"
         # Cameras write two dozen facts for every image; those of the last one tell the clock.
         written_ns = self.bag.times_ns(about)
         last = np.flatnonzero(written_ns == written_ns[-1:])
         facts = self._facts(about, last.tolist())
-        return self.bag.stamps_s(images, self.progress), facts.get("timestamp_domain", "")
+        return self.bag.stamps_s(images, progress), facts.get("timestamp_domain", "")
 
     def _facts(self, topic: str, numbers: Iterable[int]) -> dict[str, str]:
         messages = (self.bag.message(topic, number) for number in numbers)
@@ -304,7 +311,7 @@ class Db3File(RecordingFile):
         facts = self._names(topic)
         return pose_matrix(np.reshape(_numbers(facts, "rotation"), (3, 3)).T, _numbers(facts, "translation"))
 
-    def _times(self, topic: str, images: str) -> tuple[Float64Array, str]:
+    def _times(self, topic: str, images: str, progress: Progress) -> tuple[Float64Array, str]:
         about = f"{topic}/image/metadata"
         facts = {int(time_ns): self._pairs(about, index) for index, time_ns in enumerate(self.bag.times_ns(about))}
         of_images = [facts.get(int(time_ns), {}) for time_ns in self.bag.times_ns(images)]

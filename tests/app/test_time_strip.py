@@ -93,7 +93,7 @@ def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_
     assert strip.curve.key == "points"
     QTest.mouseMove(strip.plot_widget.viewport(), strip_position(strip, 9).toPoint() + QPoint(0, 10))
     points = int(first.values["points"][9])
-    qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
+    qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 9: {points} points")
     a_process_that_was_killed_is_replaced_and_ends_with_the_window(window, qtbot)
 
 

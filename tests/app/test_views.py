@@ -152,6 +152,12 @@ def test_the_numbers_stand_on_the_patch(window, qtbot):
     before = canvas(window, PATCH).grab().toImage()
     window.views.views[PATCH].set_readings(())
     assert canvas(window, PATCH).grab().toImage() != before, "they are painted"
+    seen = {}
+    area_of = canvas(window, PATCH)
+    window.context.frameShown.connect(lambda: seen.update({window.result.area_mm2: area_of.readings[0].value}))
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: len(seen) > 5)
+    assert seen == {area: f"{area:,.0f} mm²" for area in seen}, "those of the picture shown"
 
 
 def on_canvas(window, name, place):

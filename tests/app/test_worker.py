@@ -95,7 +95,7 @@ def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):
     source.read = lambda index: 1 / 0
     watched.open(source)
     qtbot.waitUntil(lambda: len(watched.failures) == 1)
-    assert watched.failures[0] == "Frame 1 of tiny could not be read (ZeroDivisionError: division by zero)."
+    assert watched.failures[0] == "Frame 0 of tiny could not be read (ZeroDivisionError: division by zero)."
 
 
 def test_shutting_down_while_a_source_opens(qtbot, preset):
@@ -125,9 +125,11 @@ def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, pr
         return bool(taken) and taken[-1].dropped > 20
 
     qtbot.waitUntil(enough)
-    worker.shut_down()
     assert len(taken) < taken[-1].processed
     assert taken[-1].processed - taken[-1].dropped >= len(taken) - 1
+    worker.open(SourceRequest("still", lambda progress: FakeSource(length=1)))
+    qtbot.waitUntil(lambda: (newest := worker.take()) is not None and (newest.source.length, newest.dropped) == (1, 0))
+    worker.shut_down()
 
 
 def test_the_newest_item_wins_and_older_ones_are_counted():

@@ -66,6 +66,7 @@ class ViewHeader(QWidget):
             fitting += 1
         x = room.right() - sum(widths[:fitting]) - _GAP * max(0, fitting - 1)
         for (text, color), width in zip(self.entries, widths[:fitting], strict=False):
-            painter.fillRect(QRect(x, room.center().y() - side // 2 + 1, side, side), color)
+            painter.fillRect(QRect(x, room.center().y() - side // 2 + 1, side, side), self.palette().mid())
+            painter.fillRect(QRect(x + 1, room.center().y() - side // 2 + 2, side - 2, side - 2), color)
             painter.drawText(room.adjusted(x + side + _SMALL_GAP - room.left(), 0, 0, 0), centred, text)
             x += width + _GAP

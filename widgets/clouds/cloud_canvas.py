@@ -181,11 +181,13 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
             for j in range(width):
                 out[j] = background
             continue
+        left, right = nearest[size:], nearest[2 * size - 1 :]  # indices without a sum, so that they are vectorised
         for j in range(width):
-            widened[j] = min(nearest[j + size], nearest[j + 2 * size - 1])
+            widened[j] = min(left[j], right[j])
         for beside in range(1, size - 1):
+            between = nearest[size + beside :]
             for j in range(width):
-                widened[j] = min(widened[j], nearest[j + size + beside])
+                widened[j] = min(widened[j], between[j])
         for j in range(width):
             pixel = widened[j]
             out[j] = background if pixel == _EMPTY else colors[pixel & np.uint32(255)]

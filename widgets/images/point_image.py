@@ -123,6 +123,7 @@ class PointImage(ImagePane):
         self._grip = QPointF()
         self._pressed_at: QPointF | None = None
         self._touched = False
+        self.awaits_point = False  # then a click on a mark places a point, too
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(title)
         self.view.setMinimumSize(160, 120)
@@ -186,7 +187,7 @@ class PointImage(ImagePane):
         if event.button() != Qt.MouseButton.LeftButton:
             return False
         self._pressed_at = event.position()
-        mark = self.layer.mark_at(event.position())
+        mark = None if self.awaits_point else self.layer.mark_at(event.position())
         if mark is None:
             return False
         self._held, self._held_moves = mark, False

@@ -323,7 +323,7 @@ class TimeStrip(QWidget):
         index, curve = self._frame_at(time_s), self.curve
         value = float(self._values[curve.key][index]) if curve.key in self._values else math.nan
         known = f"{minus(format_number(value, 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
-        place = f"{self.seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
+        place = f"{self.seconds[index]:.1f} s" + ("" if self._live else f", frame {index}")
         self._write(f"{place}: {known}")
 
     def show_words(self) -> None:

@@ -180,9 +180,10 @@ def _read_name(rest: str) -> tuple[int, str, Topics]:
     query, topics = split_name(rest)
     values = {"domain": os.environ.get("ROS_DOMAIN_ID") or "0", "host": _ANY_NETWORK}
     try:
-        given = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True))
-        if given.keys() - values or (query and not query.startswith("?")):
-            raise ValueError("the only options are domain and host, as in ros2:?domain=3&host=127.0.0.1")
+        options = parse_qsl(query.removeprefix("?"), keep_blank_values=True)
+        given = dict(options)
+        if given.keys() - values or len(given) < len(options) or (query and not query.startswith("?")):
+            raise ValueError("the only options are domain and host, each once, as in ros2:?domain=3&host=127.0.0.1")
         values |= given
         if not values["domain"].isdecimal():
             raise ValueError(f"the domain is {foreign(values['domain'], 40)!r}, no whole number")

@@ -16,7 +16,7 @@ from ...errors import SourceError, foreign
 from ...model.arrays import AnyArray, Float64Array, Uint8Array
 from ...model.files import recording_files, user_path
 from ...model.frames import DepthCamera, Matrix4, camera_pose
-from ..base import CameraRole, Progress
+from ..base import CameraRole, Progress, part_of
 from ..cameras.camera import Calibration
 from ..cameras.pairing import nearest_within, period_s
 from ..lens_files import Lens, camera_info_lens, lens_of_file
@@ -279,7 +279,7 @@ class RosSource(RecordedSource):
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
         paths = _paths(text)
-        self._path, self._progress, name = paths[0], progress, f"{scheme}:{text}"
+        self._path, name = paths[0], f"{scheme}:{text}"
         with ExitStack() as resources:
             self._bag = open_bag(paths, progress)
             resources.callback(self._bag.close)
@@ -288,7 +288,10 @@ class RosSource(RecordedSource):
             with damage_told(self._path, "it is damaged"):
                 rig = self._stated_rig(chosen or load_topics(self._path))
                 self._lacks += rig.lacks
-                cameras = [self._camera(role, camera) for role, camera in rig.cameras.items()]
+                cameras = [
+                    self._camera(role, camera, part_of(progress, number, len(rig.cameras)))
+                    for number, (role, camera) in enumerate(rig.cameras.items())
+                ]
             super().__init__(name, cameras, resources, self._lacks, rig.pose)
             self.read(0)
             self._resources = resources.pop_all()
@@ -305,11 +308,11 @@ class RosSource(RecordedSource):
                 f"{NAMING}; {list_topics(images, self._bag.types)}"
             ) from gap
 
-    def _camera(self, role: CameraRole, stated: StatedCamera) -> RecordedCamera:
-        times_s = self._stamps_s(stated.depth.topic.name)
+    def _camera(self, role: CameraRole, stated: StatedCamera, progress: Progress) -> RecordedCamera:
+        times_s = self._stamps_s(stated.depth.topic.name, part_of(progress, 0, 2))
         color, partners = None, np.empty(0, np.int64)
         if stated.color is not None:
-            color_s = self._stamps_s(stated.color.topic.name)
+            color_s = self._stamps_s(stated.color.topic.name, part_of(progress, 1, 2))
             farthest_s = period_s(color_s) / 2
             partners = nearest_within(times_s, color_s, farthest_s)
             if missing := int((partners < 0).sum()):
@@ -318,8 +321,8 @@ class RosSource(RecordedSource):
         depth = partial(self._read, stated.depth)
         return RecordedCamera(self._path, stated.calibration, 1 / period_s(times_s), times_s, depth, color, partners)
 
-    def _stamps_s(self, topic: str) -> Float64Array:
-        stamps_s = self._bag.stamps_s(topic, self._progress)
+    def _stamps_s(self, topic: str, progress: Progress) -> Float64Array:
+        stamps_s = self._bag.stamps_s(topic, progress)
         if stamps_s.any():
             return stamps_s
         self._lacks.append(f"the images on {topic} have no time stamps in their headers: the recorder's are used")

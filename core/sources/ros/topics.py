@@ -218,9 +218,9 @@ def parse_topics(text: str) -> Topics:
     for part in filter(None, (part.strip(" ,") for part in re.split(",(?=[^,/=]*=)", text))):
         slot, _, topic = (word.strip() for word in part.partition("="))
         is_file = slot.endswith(".info") and topic and not topic.startswith("/")
-        if slot not in SLOTS or not (topic.startswith("/") or is_file):
+        if slot not in SLOTS or slot in topics or not (topic.startswith("/") or is_file):
             raise SourceError(
-                f"the topics say {foreign(part)!r}; write proximity.depth=/a/topic, with commas between; "
+                f"the topics say {foreign(part)!r}; write proximity.depth=/a/topic, each once, with commas between; "
                 f"known are {', '.join(SLOTS)}"
             )
         topics[slot] = str(user_path(topic).resolve()) if is_file else topic  # it is kept for other folders, too

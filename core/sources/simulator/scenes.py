@@ -259,9 +259,11 @@ def read_name(rest: str) -> dict[str, Any]:
     """Return the arguments of a `SimulatorSource` by its name without ``sim:``; `SourceError` if it has none."""
     name, (scene, _, query) = foreign(f"sim:{rest}", 80), rest.partition("?")
     try:
-        given = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
+        options = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:
         raise SourceError(f"{name}: {foreign(query, 80)!r} are no options; write them as seed=3&noise=0.5") from error
+    if len(given := dict(options)) < len(options):
+        raise SourceError(f"{name}: an option is named twice; name each once, as in seed=3&noise=0.5")
     for key in given:
         if key not in _DEFAULTS:
             known = ", ".join(_DEFAULTS)

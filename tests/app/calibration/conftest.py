@@ -143,9 +143,8 @@ class Feed:
         self.context, self.info = context, SourceInfo("tiny", rig, 2, 30.0)
 
     def deliver(self, frame, playback):
-        number = playback.index + 1
         self.context.playback = playback
-        self.context.result = SimpleNamespace(source=self.info, frame=frame, playback=playback, frame_number=number)
+        self.context.result = SimpleNamespace(source=self.info, frame=frame, playback=playback)
         self.context.frameShown.emit()
         self.context.worker.recorder.put(frame)
 

@@ -61,7 +61,7 @@ def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, qtbot, mon
     wizard = window.calibration.wizard
     wizard.frames.take.click()
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots))
-    assert wizard.session.state.snapshots[0].name == "Frames 1 to 6"
+    assert wizard.session.state.snapshots[0].name == "Frames 0 to 5"
     assert wizard.session.state.snapshots[0].averaged == 6
     window.worker.play()
     qtbot.waitUntil(lambda: window.transport.state.playing)

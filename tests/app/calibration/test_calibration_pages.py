@@ -38,8 +38,8 @@ def test_a_snapshot_ends_where_a_recording_begins_again(open_wizard, feed, frame
         feed.deliver(frame, playback)
     qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
     taken = wizard.session.state.snapshots[0]
-    assert (taken.name, taken.averaged) == ("Frames 7 to 9", 3)
-    assert "3 of 10 frames" in wizard.frames.note.text()
+    assert (taken.name, taken.averaged) == ("Frames 6 to 8", 3)
+    assert "Averaged 3 frames instead of 10" in wizard.frames.note.text()
 
 
 @pytest.mark.parametrize("length", [9, None])
@@ -52,8 +52,8 @@ def test_a_snapshot_ends_where_the_membrane_moves(open_wizard, feed, frames, qtb
         feed.deliver(frame, PlaybackState(index=index, length=length, playing=False))
     qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
     taken = wizard.session.state.snapshots[0]
-    assert (taken.name, taken.averaged) == ("Frames 1 to 2", 2)
-    assert "2 of 10 frames: the membrane moves after them" in wizard.frames.note.text()
+    assert (taken.name, taken.averaged) == ("Frames 0 to 1", 2)
+    assert "Averaged 2 frames instead of 10: then the membrane moved" in wizard.frames.note.text()
     np.testing.assert_array_equal(taken.frame.tactile_depth, frames[0.2].tactile_depth)
 
 

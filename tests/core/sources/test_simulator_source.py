@@ -126,6 +126,7 @@ def open_coarse(scene, noise=0.0, **variant):
         ("cube?seed=-1", "seed is '-1'"),
         ("cube?light=dim", "no option 'light'"),
         ("cube?seed", "are no options"),
+        ("cup?seed=1&seed=2", "an option is named twice"),
     ],
 )
 def test_impossible_names_are_refused(name, words):

@@ -117,7 +117,9 @@ def test_two_files_are_one_source_in_either_order(tmp_path, swapped):
     tactile = make_bag(tmp_path / "d405.bag", replace(D405, serial="t1", depth=on_global_time(1, times(3, EPOCH_S))))
     proximity = make_bag(tmp_path / "l515.bag", replace(L515, depth=on_global_time(2, times(3, EPOCH_S + 0.004))))
     files = [tactile, proximity] if swapped else [proximity, tactile]
-    with open_source(f"{'bag:' if swapped else ''}{files[0]},{files[1]}") as source:
+    told, name = [], f"{'bag:' if swapped else ''}{files[0]},{files[1]}"
+    with open_source(name, lambda share, _: told.append(share)) as source:
+        assert told == [0.0, 0.5, 0.75], "one job, from 0 to 100 %"
         assert source.name == f"bag:{files[0]},{files[1]}"
         assert (source.rig.proximity.model, source.rig.tactile.model) == (L515.name, D405.name)
         assert (source.rig.proximity.serial, source.rig.tactile.serial) == ("sn0", "t1")

@@ -72,7 +72,7 @@ def test_recordings_of_three_versions_hold_what_was_sent(open_bag, name, unit_m)
     source = open_bag(FIXTURES / name)
     assert source.length == 3
     assert source.frame_rate_hz == 30.0
-    with closing(open_recording(FIXTURES / name)) as file:
+    with closing(open_recording(FIXTURES / name, lambda share, words: None)) as file:
         colors = [color_at(file.cameras[0][0], index) for index in range(3)]
     for index in (2, 0, 1):
         depth, color = images(name, index, (48, 32))

@@ -130,6 +130,7 @@ def test_cameras_that_fast_dds_publishes(from_fast_dds):
         ("domain=3", "the only options are domain and host"),
         ("here", "the only options are domain and host"),
         ("?port=3", "the only options are domain and host"),
+        ("?domain=3&domain=4", "each once"),
         ("?domain=", "the domain is ''"),
         ("?domain=300", "is not from 0 to 232"),
         ("?host=here", "'here' is no IPv4 address"),
