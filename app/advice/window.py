@@ -95,6 +95,7 @@ def find_suggestions(
     untouched = None
     with suppress(TactuneError):  # it cannot be read; or the job was cancelled, which is raised again below
         untouched = result.source.find_untouched(preset, home, part_of(progress, 0, 2)).frame
+    progress(0.5, "Measuring")
     evidence = Evidence(preset, result.source.rig, (result.frame,), untouched)
     return suggest_all(evidence, part_of(progress, 1, 2), None if section == ALL else (section,))
 

@@ -165,7 +165,7 @@ class SimulatorSource(SeekableSource):
             with suppress(ExportError):  # the next start takes as long
                 save_scene(path, solved)
         _open_scenes[path] = solved
-        progress(1.0, f"The scene {_title(scene)} is ready")
+        progress(1.0, "The scene is ready")
         return solved
 
     def _press(self, scene: Scene) -> Press:
@@ -195,7 +195,7 @@ _inflated = lru_cache(maxsize=8)(Membrane)
 
 
 def _title(scene: Scene) -> str:
-    return f"“{scene.name.rpartition('-')[0].replace('-', ' ')}”"
+    return f"“{scene.name.rpartition('-')[0].replace('-', ' ').replace(' none', ' untouched')}”"
 
 
 # Solved scenes on disk
