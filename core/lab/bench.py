@@ -117,7 +117,7 @@ def _depth_of_paraboloid(camera: Intrinsics, T_p_camera: Float64Array) -> Float6
     rays = np.concatenate([camera.rays().astype(np.float64), np.ones((*camera.shape, 1))], axis=2)
     directions, start = rays @ T_p_camera[:3, :3].T, T_p_camera[:3, 3]
     depth = np.full(camera.shape, 0.25)
-    for _ in range(60):
+    for _ in range(8):
         points = start + directions * depth[..., None]
         miss = 0.25 + 0.6 * (points[..., 0] ** 2 + points[..., 1] ** 2) - points[..., 2]
         slope = directions[..., 2] - 1.2 * (points[..., 0] * directions[..., 0] + points[..., 1] * directions[..., 1])

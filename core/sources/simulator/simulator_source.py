@@ -93,7 +93,7 @@ class SimulatorSource(SeekableSource):
         super().__init__(name, rig, len(self.scene.frames))
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
         self.sensor = SENSORS[sensor]
-        self._noise = NoiseModel(self._both, seed, noise, self.sensor)
+        self._noise = _noise_of(self._both, seed, noise, self.sensor)
         self._made_of = (scene, seed, noise, cells, variant, sensor, cameras)
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
