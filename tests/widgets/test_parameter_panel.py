@@ -25,7 +25,7 @@ from tactune.widgets.parameters.parameter_panel import SECTIONS, fields_of
 
 
 @given(preset=presets)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15, deadline=None)
 def test_every_preset_is_shown_exactly_and_silently(panel, seen, preset):
     panel.set_preset(preset)
     for path, row in panel.rows.items():

@@ -61,16 +61,6 @@ def test_converting_there_and_back_changes_no_bit(tmp_path, recording, tactune):
             assert_same_recording(source, original)
 
 
-@pytest.mark.parametrize("name", ["realsense_bag/single_depth_color_640x480.bag", "real_pair"])
-def test_real_recordings_convert_there_and_back(tmp_path, tactune, shared_data, name):
-    recording = shared_data / name
-    assert tactune("convert", recording, tmp_path / "a.mcap").status == 0
-    assert tactune("convert", tmp_path / "a.mcap", tmp_path / "folder").status == 0
-    for copy in ("a.mcap", "folder"):
-        with open_source(str(recording)) as original, open_source(str(tmp_path / copy)) as source:
-            assert_same_recording(source, original)
-
-
 def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path, recording, tactune):
     out = tmp_path / "patches.mcap"
     done = tactune("run", "--source", recording, "--preset", "default", "--out", out)

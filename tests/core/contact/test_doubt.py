@@ -11,7 +11,7 @@ from tactune.core.lab import faults
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.model.patch import SURE
 from tactune.core.output.cloud_files import patch_columns
-from tactune.core.rig.noise import measure_noise
+from tactune.core.rig.noise import MIN_FRAMES, measure_noise
 from tactune.core.rig.untouched import average_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
@@ -27,10 +27,10 @@ def rig():
     """A preset with the measured rig, an untouched frame, a touch and a hover."""
     sources = [SimulatorSource("cup", cells=CELLS, variant=variant) for variant in (TOUCH, HOVER)]
     away = sources[0].with_object_away()
-    frames = list(islice(away, 20))
+    frames = list(islice(away, MIN_FRAMES))
     preset = load_preset("simulator").with_value("mask.value", (110, 255))
     preset = preset.model_copy(update={"noise": measure_noise(frames, away.rig, preset)})
-    return preset, average_untouched(frames[:15]).frame, *sources
+    return preset, average_untouched(frames).frame, *sources
 
 
 def test_a_touch_that_dents_the_membrane_is_sure_and_one_that_does_not_is_doubted(rig):
@@ -161,10 +161,10 @@ def test_what_moves_everywhere_is_no_dent(rig):
 def test_a_hover_within_the_noise_is_claimed_only_with_doubt():
     source = SimulatorSource("cube", 1, cells=CELLS, variant=Variant(gap_mm=1.5), sensor="worn")
     away = source.with_object_away()
-    frames = list(islice(away, 20))
+    frames = list(islice(away, MIN_FRAMES))
     preset = load_preset("simulator").with_value("mask.value", (110, 255))
     preset = preset.model_copy(update={"noise": measure_noise(frames, away.rig, preset)})
-    pipeline = ContactPipeline(preset, source.rig, average_untouched(frames[:15]).frame)
+    pipeline = ContactPipeline(preset, source.rig, average_untouched(frames).frame)
     claimed = [patch.doubt for patch in map(pipeline.process, islice(source, 6)) if len(patch.points)]
     assert claimed
     for doubt in claimed:
@@ -176,6 +176,7 @@ def test_the_table_of_faults_counts_what_is_wrong_without_a_word(monkeypatch):
     chosen = [faults.Trial("cup", variant, 0) for variant in (TOUCH, HOVER)]
     monkeypatch.setattr(faults, "trials", lambda *_: chosen)
     monkeypatch.setattr(faults, "_CELLS", CELLS)
+    monkeypatch.setattr(faults, "_FRAMES", MIN_FRAMES)
     monkeypatch.setattr(faults, "FAULTS", {name: faults.FAULTS[name] for name in ("none", "no-prints")})
     (touch, hover), _ = found = list(faults.try_faults(load_preset("simulator")))
     assert touch.claimed

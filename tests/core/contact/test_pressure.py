@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.contact.pressure import surface
 from tactune.core.errors import RigMismatchError
+from tactune.core.lab import table
 from tactune.core.lab.single_camera import tactile_only
 from tactune.core.lab.table import measured_rig
 from tactune.core.model.frames import Rig, SensorFrame, Shot
@@ -25,6 +26,14 @@ from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
 PRESSURE = Preset(contact_test="pressure")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_frames():
+    """Measure the noise of rigs in less time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(table, "NOISE_FRAMES", 20)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -103,7 +103,7 @@ def test_press_is_tracked_from_a_search_and_lost_without_contact():
     source = SimulatorSource("cup")
     pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source.scene, source.name)
     tracker, errors = PoseTracker(mesh, PRESET, source.rig), []
-    for number in [*range(36, 60, 6), *range(60, source.length, 3)]:
+    for number in [*range(36, 60, 8), *range(60, source.length, 5), source.length - 1]:
         frame = source.read(number)
         patch = pipeline.process(frame)
         found = tracker.track(patch, frame.proximity_time_s)

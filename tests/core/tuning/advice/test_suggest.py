@@ -132,9 +132,6 @@ def test_the_tolerance_follows_from_the_noise_of_the_rig(evidence, suggest):
         suggest("tolerance", evidence(TOLERANCE))
 
 
-NO_MASK = TOLERANCE.with_value("mask.enabled", False)
-
-
 @pytest.mark.parametrize("spoiled_m", [0.012, -0.009])
 def test_prints_tell_the_offset(evidence, spoiled_m, suggest):
     proposal = suggest(
@@ -142,11 +139,6 @@ def test_prints_tell_the_offset(evidence, spoiled_m, suggest):
     )
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
     assert "prints" in proposal.evidence and "±" in proposal.evidence
-
-
-def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, suggest):
-    with pytest.raises(AdviceError, match="can't be told from a gap"):
-        suggest("alignment", evidence(NO_MASK, "sim:cup?gap=5", untouched=False))
 
 
 def test_the_membrane_test_needs_no_offset(evidence, suggest):
@@ -229,12 +221,6 @@ def test_a_pressed_frame_alone_gives_a_mask(evidence, suggest):
 def test_small_contacts_that_look_like_prints_are_refused(evidence, suggest):
     with pytest.raises(AdviceError, match="capture an untouched frame"):
         suggest("mask", evidence(UNMASKED, "sim:octopus?press=low", untouched=False))
-
-
-def test_a_mask_that_does_as_well_is_kept(evidence, suggest):
-    proposal = suggest("mask", evidence(SHIPPED))
-    assert not proposal.changes
-    assert "covers" in proposal.expected
 
 
 def test_a_membrane_without_prints_is_told(evidence, suggest):
