@@ -22,10 +22,6 @@ from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..preset import MaskSection, Preset
 
-#: Area of firm contact below which a frame tells nothing about the bias, m^2.
-MIN_CONTACT_M2: Final = 1e-3
-#: Standard deviation of a bias that was not measured, metres.
-UNKNOWN_BIAS_M: Final = 0.005
 #: Standard deviation of the bias that no area reduces, metres.
 _BIAS_FLOOR_M: Final = 0.0002
 
@@ -183,7 +179,7 @@ def pressed_bias(
     contacts: Iterable[tuple[float, float] | None], density_m4: float, floor_m: float = _BIAS_FLOOR_M
 ) -> MeasuredBias | None:
     """Return the bias of frames from those in firm contact, metres, and its area, m^2; None without enough contact."""
-    firm = np.array([contact for contact in contacts if contact is not None and contact[1] >= MIN_CONTACT_M2])
+    firm = np.array([contact for contact in contacts if contact is not None])
     if not len(firm):
         return None
     noise = np.sqrt(density_m4 / np.median(firm[:, 1]))

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from ..contact.membrane.frame_bias import UNKNOWN_BIAS_M
 from ..contact.membrane.steps import firm_contact_bias
 from ..errors import FrameError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array, spread
@@ -24,7 +25,7 @@ from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import CameraNoise, Preset, RigNoise, now
 from ..sources.base import CameraRole, Progress
-from .bias import UNKNOWN_BIAS_M, MeasuredBias, describe_bias, pressed_bias, print_bias
+from .bias import MeasuredBias, describe_bias, pressed_bias, print_bias
 from .untouched import TILE_PX, tile_medians
 
 #: Usual number of frames, and fewest different ones.

@@ -53,7 +53,7 @@ _REPLACING: Final = 2.0
 #: Assumed for a rig that was not measured: noise power of a D405 and an L515 at 0.3 m, m^4, and standard deviation of
 #: the bias, metres.
 _USUAL_NOISE_M4: Final = 1.23e-10
-_USUAL_SIGMA_M: Final = 0.005
+UNKNOWN_BIAS_M: Final = 0.005
 #: Lower limits of the noise power, m^4, and of a pixel's standard deviation, metres, for errors of the model.
 _MIN_NOISE_M4, _MIN_PIXEL_SIGMA_M = 1e-11, 0.0001
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
@@ -102,7 +102,7 @@ class FrameBias:
 def rig_bias(noise: RigNoise | None, rig: Rig) -> RigBias:
     """Return what is known of the bias and the noise of a rig, measured or not."""
     if noise is None:
-        return RigBias(0.0, _USUAL_SIGMA_M, _USUAL_NOISE_M4, measured=False)
+        return RigBias(0.0, UNKNOWN_BIAS_M, _USUAL_NOISE_M4, measured=False)
     proximity = noise.proximity.density_m4(rig.proximity.intrinsics.fx)
     tactile = noise.tactile.density_m4(rig.tactile.intrinsics.fx)
     power = max(proximity + tactile, _MIN_NOISE_M4)

@@ -13,7 +13,7 @@ import numpy as np
 from ...contact.doubt import LOST_PRINTS
 from ...contact.masking import masked_share
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m
-from ...contact.membrane.frame_bias import rig_bias
+from ...contact.membrane.frame_bias import UNKNOWN_BIAS_M, rig_bias
 from ...contact.membrane.section import USUAL_GAP_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
@@ -22,7 +22,7 @@ from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
 from ...preset import Preset
-from ...rig.bias import UNKNOWN_BIAS_M, MeasuredBias, pressed_bias, print_bias, scene_bias
+from ...rig.bias import MeasuredBias, pressed_bias, print_bias, scene_bias
 from .mask import find_prints
 from .proposal import Evidence, Finding, Proposal
 from .suggest import propose_alignment, suggest_tolerance
