@@ -10,7 +10,7 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
 from PyQt6.QtWidgets import QAbstractButton, QFrame, QScrollArea, QStackedLayout, QWidget
 
-from ...core.errors import counted
+from ...core.errors import counted, minus
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
@@ -58,7 +58,7 @@ def _unbiased(preset: Preset) -> str:
     if noise is None or noise.bias_from == "unknown":
         return ""
     place = "on the prints" if noise.bias_from == "prints" else "in a firm press"
-    return f"{1e3 * noise.bias_m:.1f} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured {place}."
+    return f"{minus(f'{1e3 * noise.bias_m:+z.1f}')} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured {place}."
 
 
 def _suggested(preset: Preset) -> str:

@@ -197,8 +197,9 @@ class DepthOffset:
     used: bool
 
     def words(self) -> str:
+        """Return the offset that the preset gets, or nothing: else the bias says how the cameras' depths differ."""
         size = minus(f"{1e3 * self.offset_m:+z.2f} ± {1e3 * self.sigma_m:.2f} mm")
-        return f"Offset of the tactile depth: {size}, {'corrected' if self.used else 'not corrected'}."
+        return f"Depth offset: {size}." if self.used else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +287,7 @@ class CalibrationReport:
 
     def words(self) -> str:
         lines = [f"Model: {self.model}. {self.reason}"]
-        if self.depth_offset is not None:
+        if self.depth_offset is not None and self.depth_offset.used:
             lines.append(self.depth_offset.words())
         lines += [
             f"Residual of the {name} model: {quality.rms_px:.2f} px RMS; expected alignment error "

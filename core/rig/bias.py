@@ -17,6 +17,7 @@ from ..contact.alignment import make_alignment
 from ..contact.masking import in_hsv_range
 from ..contact.membrane.frame_bias import most_frequent_m
 from ..contact.pixels import colors_at, region_bounds
+from ..errors import minus
 from ..model.arrays import Float32Array, spread
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
@@ -194,7 +195,6 @@ def describe_bias(bias: MeasuredBias) -> str:
         )
     slope = f", and {abs(bias.per_m) * 100:.1f} mm {'more' if bias.per_m > 0 else 'less'} per 100 mm of depth"
     return (
-        f"The proximity camera reads {1e3 * abs(bias.bias_m):.1f} ± {1e3 * bias.sigma_m:.1f} mm "
-        f"{'farther' if bias.bias_m >= 0 else 'nearer'} than the tactile camera{slope if bias.per_m else ''} "
-        f"(measured on {bias.origin})."
+        f"Bias between the cameras: {minus(f'{1e3 * bias.bias_m:+z.1f}')} ± {1e3 * bias.sigma_m:.1f} mm, proximity "
+        f"{'farther' if bias.bias_m >= 0 else 'nearer'}{slope if bias.per_m else ''}, measured {bias.place}."
     )

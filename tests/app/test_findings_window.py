@@ -65,7 +65,7 @@ def test_the_rail_mends_and_nothing_moves(window, qtbot):
     places = [place(widget, window) for widget in (window.panel, row.widget, window.rail)]
     QTest.keyClick(window, Qt.Key.Key_F, CONTROL)
     mend = button(window.rail, "Depth offset +12.0 mm")
-    assert mend.hasFocus() and "The proximity camera reads +12.0 mm" in mend.toolTip()
+    assert mend.hasFocus() and "Bias between the cameras: +12.0 ±" in mend.toolTip()
     QTest.mouseClick(mend, LEFT)
     assert window.document.preset.alignment.depth_offset_m == pytest.approx(0.012, abs=0.0003)
     assert window.document.undo_stack.undoText() == "Depth offset +12.0 mm"

@@ -150,7 +150,7 @@ def peak(it: Situation) -> Finding | None:
         return None
     proposal = propose_alignment(Evidence(preset, it.rig, (it.frame,), it.untouched), found)
     place = minus(f"{100 * found.bias_m / distance_m:+.1f} %, {1e3 * found.bias_m:+.1f} mm")
-    sentence, field = f"Peak of the differences at {place}: the cameras disagree.", "alignment.depth_offset_m"
+    sentence, field = f"Bias in this frame {place}: the cameras disagree.", "alignment.depth_offset_m"
     if proposal.changes:
         return Finding("peak", field, sentence, proposal, explains_empty=True)
     return Finding("peak", field, sentence, action="measure_noise", explains_empty=True)

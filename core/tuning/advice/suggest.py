@@ -18,7 +18,7 @@ from ...contact.pressure.test import PRESSURE_SIGMAS
 from ...errors import AdviceError, FrameError, PresetError, RigMismatchError, minus
 from ...model.clouds import valid_depth
 from ...preset import CONTACT_TESTS, Preset
-from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
+from ...rig.bias import MeasuredBias, depth_differences, describe_bias, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress, part_of
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
@@ -114,10 +114,7 @@ def propose_alignment(evidence: Evidence, bias: MeasuredBias) -> Proposal:
     counts = evidence.frame.tactile_depth[valid_depth(evidence.frame.tactile_depth)]
     raw_m = float(np.median(counts)) * evidence.rig.tactile.depth_unit_m if len(counts) else 0.0
     without_m = bias.bias_m + section.depth_offset_m + (section.depth_scale - 1) * raw_m
-    sentence = (
-        f"The proximity camera reads {_mm(bias.bias_m)} ± {1e3 * bias.sigma_m:.1f} mm against the tactile camera, "
-        f"measured {bias.place}."
-    )
+    sentence = describe_bias(bias)
     if abs(bias.bias_m) <= max(_CERTAIN * bias.sigma_m, _SMALLEST_M):
         return _keep(sentence, "The cameras agree within the uncertainty; nothing changes.")
     corrects = preset.contact_test == "membrane" and preset.membrane.bias and abs(without_m) < LARGEST_BIAS_M

@@ -46,7 +46,7 @@ def test_a_good_preset_has_no_findings(tactune):
 def test_findings_are_printed_with_what_mends_them(tactune, spoiled):
     finished = tactune("preset", "findings", "--source", SCENE, "--preset", spoiled, "--frame", 0)
     assert finished.status == 1
-    assert "alignment.depth_offset_m: Peak of the differences at −" in finished.out
+    assert "alignment.depth_offset_m: Bias in this frame −" in finished.out
     assert "--set alignment.depth_offset_m=0.0" in finished.out
 
 

@@ -122,7 +122,7 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset, pr
     assert pressed.bias_from == "contact"
     assert pressed.bias_m == pytest.approx(0.0031)
     assert "3.1 ± " in describe(pressed)[2]
-    assert "measured on contact" in describe(pressed)[2]
+    assert "measured in firm contact" in describe(pressed)[2]
 
 
 def test_prints_that_disagree_with_each_other_tell_no_bias(rig, preset):

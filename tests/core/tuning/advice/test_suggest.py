@@ -178,7 +178,7 @@ def test_the_bias_of_the_rig_counts_more_than_a_few_frames_unless_these_contradi
     shown = evidence(TOLERANCE.model_copy(update={"noise": known}))
     alone = suggest("alignment", evidence(TOLERANCE))
     proposal = suggest("alignment", shown)
-    assert ("+0.3 mm" in proposal.evidence) != changes
+    assert ("+0.3 ± 0.3 mm" in proposal.evidence) != changes
     assert not changes or proposal.evidence == alone.evidence
 
 
