@@ -98,7 +98,7 @@ class Transport(QWidget):
 
 
 class _NameButton(QPushButton):
-    """A caption and a name, elided behind its scheme, since its end tells paths apart. It keeps its width."""
+    """A caption and a name, elided at its start, since its end tells paths apart. It keeps its width."""
 
     WIDTH = 184
 
@@ -110,10 +110,10 @@ class _NameButton(QPushButton):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
 
     def show_name(self, name: str, tip: str) -> None:
-        scheme = name[: name.find(":") + 1]  # stays: live: is no recording any more
-        caption = f"{self._caption}: {scheme}"
+        live = "live:" if name.startswith("live:") else ""  # it stays: the rest is the name of a recording
+        caption = f"{self._caption}: {live}"
         room = self.WIDTH - 28 - self.fontMetrics().horizontalAdvance(caption)
-        elided = self.fontMetrics().elidedText(name.removeprefix(scheme), Qt.TextElideMode.ElideLeft, room)
+        elided = self.fontMetrics().elidedText(name.removeprefix(live), Qt.TextElideMode.ElideLeft, room)
         self.setText(_literal(caption + elided))
         self.setToolTip(tip)
 

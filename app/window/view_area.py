@@ -45,7 +45,7 @@ _PATCH_SHARE = (0.45, 0.55)
 #: Share of a view that the patch takes after *Zoom to patch*.
 _PATCH_FILL = 0.6
 _NO_DEPTH = "This camera measured no depth in this frame"
-_NO_POSE = "Its pose is not known"
+_NO_POSE = "Its pose is not known: calibrate the alignment"
 _READINGS_TIP = "<p><b>touches</b>: how likely the membrane touches; <b>boundary</b>: expected error of its place.</p>"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch, hatched where doubtful",

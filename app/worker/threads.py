@@ -26,14 +26,14 @@ class Mailbox(Generic[T]):
         self._improves = improves
         self._lock = Lock()
         self._item: T | None = None
-        self._dropped = 0
+        self.dropped = 0  # items that were replaced before anybody took them
 
     def put(self, item: T) -> bool:
         """Store an item in place of one that nobody took; return True if the consumer must be woken."""
         with self._lock:
             waiting, self._item = self._item, item
             if waiting is not None and not self._improves(waiting, item):
-                self._dropped += 1
+                self.dropped += 1
         return waiting is None
 
     def take(self) -> T | None:
@@ -41,12 +41,6 @@ class Mailbox(Generic[T]):
         with self._lock:
             item, self._item = self._item, None
         return item
-
-    @property
-    def dropped(self) -> int:
-        """Number of items that were replaced before anybody took them."""
-        with self._lock:
-            return self._dropped
 
 
 #: Abandoned threads. Qt aborts if the object of a running thread is deleted, so they are kept here.

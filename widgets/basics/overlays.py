@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, QSizeF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFontMetrics, QImage, QMouseEvent, QPainter, QPaintEvent, QPalette, QPen
+from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QFontMetrics, QMouseEvent, QPainter, QPaintEvent, QPalette, QPen
 from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QWidget
 
 from .layouts import STRETCH, vbox
@@ -171,21 +171,34 @@ class Reading(NamedTuple):
     widest: str
 
 
+def paint_readings(painter: QPainter, size: QSize, readings: tuple[Reading, ...]) -> None:
+    """Paint numbers in large type, each over its caption, on a plate over the top of a view."""
+    places, band = _places(size, tuple((words, widest) for _, words, widest in readings))
+    palette = QApplication.palette()
+    plate = palette.color(QPalette.ColorRole.Base)
+    plate.setAlpha(_PLATE_ALPHA)
+    painter.fillRect(band, plate)
+    number = text_font("title", bold=True), QPalette.ColorRole.Text
+    caption = text_font("caption"), QPalette.ColorRole.PlaceholderText
+    for line, (font, role) in enumerate((number, caption)):
+        painter.setFont(font)
+        painter.setPen(palette.color(role))
+        for place, reading in zip(places, readings, strict=False):
+            painter.drawText(place[line], reading[line])
+
+
 @lru_cache(maxsize=2)
-def readings_image(size: QSize, readings: tuple[Reading, ...], plate: str, ratio: float) -> QImage:
-    """Return a band with numbers in large type and their captions for a view, over ``plate``.
+def _places(size: QSize, entries: tuple[tuple[str, str], ...]) -> tuple[list[tuple[QPoint, QPoint]], QRect]:
+    """Return where each number and its caption begin, and the band that they fill; entries as in `Reading`.
 
     They take as many rows as they need; the last ones are left out where they would cover half of the view.
     """
-    large, small = text_font("title", bold=True), text_font("caption")
-    numbers, captions = QFontMetrics(large), QFontMetrics(small)
+    numbers, captions = QFontMetrics(text_font("title", bold=True)), QFontMetrics(text_font("caption"))
     left, gap, height = 8, 12, numbers.height() + captions.height() + 4
-    widths = [
-        max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words)) for _, words, widest in readings
-    ]
+    widths = [max(numbers.horizontalAdvance(widest), captions.horizontalAdvance(words)) for words, widest in entries]
     total = left + sum(widths) + gap * len(widths)
     share = total / math.ceil(total / max(1, size.width()))  # rows are about equally long
-    places: list[QRect] = []
+    places: list[tuple[QPoint, QPoint]] = []
     x, y = left, 4
     for taken in widths:
         if x > left and (x + taken >= size.width() or x > share):
@@ -193,20 +206,7 @@ def readings_image(size: QSize, readings: tuple[Reading, ...], plate: str, ratio
             if y + height > size.height() / 2:
                 y -= height
                 break
-        places.append(QRect(x, y, taken, numbers.height()))
+        below = y + numbers.height() - 1 + captions.ascent()
+        places.append((QPoint(x, y + numbers.ascent()), QPoint(x, below)))
         x += taken + gap
-    band = QSizeF(size.width() * ratio, (y + height) * ratio).toSize()
-    image = QImage(band, QImage.Format.Format_ARGB32_Premultiplied)
-    image.setDevicePixelRatio(ratio)
-    ground = QColor(plate)
-    ground.setAlpha(_PLATE_ALPHA)
-    image.fill(ground)
-    painter, palette = QPainter(image), QApplication.palette()
-    for font, role, line in ((large, QPalette.ColorRole.Text, 0), (small, QPalette.ColorRole.PlaceholderText, 1)):
-        painter.setFont(font)
-        painter.setPen(palette.color(role))
-        for place, reading in zip(places, readings, strict=False):
-            at = QPoint(place.left(), place.bottom() + captions.ascent() if line else place.top() + numbers.ascent())
-            painter.drawText(at, reading[line])
-    painter.end()
-    return image
+    return places, QRect(0, 0, size.width(), y + height)

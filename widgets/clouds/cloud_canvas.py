@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float32Array, Float64Array, Uint8Array
 from ..basics.colormaps import over_background
-from ..basics.overlays import Reading, WipeGrip, paint_wipe, readings_image
+from ..basics.overlays import Reading, WipeGrip, paint_readings, paint_wipe
 from ..basics.theme import CASING, ThemeName, text_font, theme_name
 from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .view_camera import FAR, NEAR, ViewCamera
@@ -352,8 +352,7 @@ class CloudCanvas(QWidget):
         if wipe is not None:
             paint_wipe(painter, QRectF(self.rect()), wipe)
         elif self.readings:
-            plate = self.palette().color(QPalette.ColorRole.Base).name()
-            painter.drawImage(0, 0, readings_image(self.size(), self.readings, plate, self.devicePixelRatioF()))
+            paint_readings(painter, self.size(), self.readings)
         painter.end()
 
     def _paint_arrow(self, painter: QPainter, arrow: Float64Array) -> None:

@@ -200,7 +200,7 @@ def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, s
     frame, other = (camera.depth.topic.frame for camera in cameras.values())
     pose, first, second = frames.pose(frame, other), foreign(frame, 60), foreign(other, 60)
     if pose is None:
-        lacks.append(f"no fixed transforms join the cameras' frames {first!r} and {second!r}: calibrate the alignment")
+        lacks.append(f"no fixed transform joins the cameras ({first} and {second}): calibrate the alignment")
     elif not pose[:3, 3].any():  # two drivers that were left with the same frame names
         lacks.append(
             f"both cameras are said to be at the same place (frames {first} and {second}), so the pose between them is "
