@@ -91,7 +91,7 @@ class DoubtEstimator:
                 if abs(behind_m) < _ALIKE_M and preset.test.needs_proximity:
                     evidence, reasons = -_MAX_EVIDENCE, (*reasons, "print or dirt")
                 elif not math.isnan(dent_m):
-                    evidence = _dent_evidence(dent_m, elsewhere_m, self._dent_noise_m2(preset, seen_m2))
+                    evidence = self._dent_evidence(preset, dent_m, seen_m2, elsewhere_m)
                     reasons = (*reasons, "no dent") if evidence < 0 else reasons
             if pressure is not None:
                 evidence, doubts = _pressure_evidence(contact, pressure, evidence)
@@ -153,13 +153,6 @@ class DoubtEstimator:
         harmless = abs(known.mean_m) <= preset.test.bias_limits(preset, distance_m).good_m
         return "" if harmless else "bias not corrected"
 
-    def _dent_noise_m2(self, preset: Preset, area_m2: float) -> float:
-        """Return the variance by noise of a dent over an area: that of this frame and of the averaged untouched one."""
-        known = rig_bias(preset.noise, self._pixels.rig)
-        frames = 2 - (0.0 if preset.noise is None else preset.noise.tactile.changing_share)
-        tactile_m4 = (1 - known.tactile_weight) * known.noise_m4
-        return frames / (area_m2 / tactile_m4 + 1 / known.pixel_sigma_m**2)
-
     def _moved_in(
         self, contact: Candidates, frame: SensorFrame, everywhere_m: Float32Array
     ) -> tuple[float, float, float, float]:
@@ -180,12 +173,25 @@ class DoubtEstimator:
         u, v, places = u[seen], v[seen], contact.pixels[some][seen]
         box = rows, columns = _around(v, height), _around(u, width)
         elsewhere_m[tuple(slice(side.start // _STEP_PX, side.stop // _STEP_PX + 1) for side in box)] = np.nan
-        camera, size = pixels.rig.tactile.intrinsics, (rows.stop - rows.start) * (columns.stop - columns.start)
-        area_m2 = size * float(np.median(contact.points[some, 2])) ** 2 / (camera.fx * camera.fy)
+        pixel_m2 = float(pixel_areas_m2(contact.points[some, 2], pixels.rig.tactile.intrinsics).mean())
+        area_m2 = pixel_m2 * (rows.stop - rows.start) * (columns.stop - columns.start)
         then, now = (each.proximity_depth.reshape(-1)[places] for each in (before, frame))
         behind_m = _moved_m(then, now, np.float32(pixels.rig.proximity.depth_unit_m)) - self._dents_m(frame, (v, u))
         farther_m = median(np.nan_to_num(behind_m, nan=1.0))
         return _middle_mean(self._dents_m(frame, box)), area_m2, _middle_mean(elsewhere_m), farther_m
+
+    def _dent_evidence(self, preset: Preset, dent_m: float, area_m2: float, elsewhere_m: float) -> float:
+        """Return the logarithm of how much likelier a dent makes a touch than if none could be seen."""
+        known = rig_bias(preset.noise, self._pixels.rig)
+        frames = 2 - (0.0 if preset.noise is None else preset.noise.tactile.changing_share)  # the untouched is averaged
+        tactile_m4 = (1 - known.tactile_weight) * known.noise_m4
+        noise_m2 = frames / (area_m2 / tactile_m4 + 1 / known.pixel_sigma_m**2)
+        elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
+        sigma_m = math.sqrt(noise_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2)
+        sigmas = max(dent_m - elsewhere_m, 0.0) / sigma_m
+        deeper = (1 + math.erf(sigmas / math.sqrt(2))) / 2
+        evidence = math.log(math.sqrt(2 * math.pi) * sigma_m * deeper / _NEAR_M) + sigmas**2 / 2
+        return min(evidence, _MAX_EVIDENCE)
 
     def _dents_m(self, frame: SensorFrame, where: Any) -> Float32Array:
         """Return how far the membrane has moved towards the camera; there is an untouched frame."""
@@ -216,16 +222,6 @@ def _middle_mean(values: Float32Array) -> float:
     known = np.sort(values[np.isfinite(values)])
     middle = known[len(known) // 4 : len(known) - len(known) // 4]
     return float(middle.mean()) if len(middle) else math.nan
-
-
-def _dent_evidence(dent_m: float, elsewhere_m: float, noise_m2: float) -> float:
-    """Return the logarithm of how much likelier a dent makes a touch than if none could be seen."""
-    elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
-    sigma_m = math.sqrt(noise_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2)
-    sigmas = max(dent_m - elsewhere_m, 0.0) / sigma_m
-    deeper = (1 + math.erf(sigmas / math.sqrt(2))) / 2
-    evidence = math.log(math.sqrt(2 * math.pi) * sigma_m * deeper / _NEAR_M) + sigmas**2 / 2
-    return min(evidence, _MAX_EVIDENCE)
 
 
 def _pressure_evidence(contact: Candidates, facts: PressureFacts, dent: float) -> tuple[float, tuple[str, ...]]:

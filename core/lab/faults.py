@@ -134,7 +134,7 @@ def trials(objects: Sequence[str], membranes: Sequence[str], seed: int) -> list[
     found: list[Trial] = []
     for name in objects:
         presses = [Variant("low"), Variant("medium"), Variant("high"), Variant("high", "left")]
-        gaps = [Variant(gap_mm=gap) for gap in (2.0, 3.0, 5.0, 9.0)]
+        gaps = [Variant(gap_mm=gap) for gap in (0.5, 1.0, 2.0, 5.0)]
         found += [
             Trial(name, replace(each, membrane=membranes[0]), seed, len(found) % 20) for each in (*presses, *gaps)
         ]
