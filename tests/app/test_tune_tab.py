@@ -21,9 +21,8 @@ def recording(tmp_path):
 
 
 @pytest.fixture
-def tab(qtbot, make_window, recording):
+def tab(qtbot, window, recording):
     """The tab, opened by its key on a recording with ground truth."""
-    window = make_window()
     show_source(qtbot, window, recording, 1)
     QTest.keyClick(window, Qt.Key.Key_F7, Qt.KeyboardModifier.ShiftModifier)
     qtbot.waitExposed(window.analysis.window)

@@ -61,14 +61,6 @@ class LongSearch:
         journal = self.file.read_text() if self.file.exists() else ""
         return len(re.findall(r'\{"op_code":6,[^\n]*"state":1,', journal))
 
-    def finish(self, *words: str) -> str:
-        """Give the command again, to its end; return what it printed."""
-        command = [*self.command, *words]
-        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=LIMIT_S)
-        assert done.returncode == 0, done.stderr
-        self.check(done.stdout)
-        return done.stdout
-
     def check(self, out: str) -> None:
         """All points were measured, and each counts once."""
         trials = trials_of(out).values()

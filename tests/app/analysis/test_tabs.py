@@ -41,9 +41,9 @@ def source():
 
 
 @pytest.fixture
-def tab(qtbot, make_window, source, cup_file):
+def tab(qtbot, window, source, cup_file):
     """The tab beside a window that stands still at a frame in which the cup is pressed, with its mesh dropped on it."""
-    window = make_window(load_preset("simulator"))
+    window.document.new(load_preset("simulator"))
     show_source(qtbot, window, source, PRESSED)
     QTest.keyClick(window, Qt.Key.Key_F8, Qt.KeyboardModifier.ControlModifier)
     analysis = window.analysis.window

@@ -14,9 +14,9 @@ from tactune.core.preset import CameraNoise, Preset, RigNoise, now
 
 
 @pytest.fixture
-def set_up(qtbot, make_window):
+def set_up(window):
     """The panel of a window with an empty preset."""
-    window = make_window(Preset())
+    window.document.new(Preset())
     panel = window.set_up
     panel.window_ = window
     return panel
@@ -31,8 +31,9 @@ def marks(panel):
     return "".join(row.mark.text() for row in panel.rows)
 
 
-def test_one_click_sets_up_the_simulated_rig(qtbot, set_up, tmp_path):
-    window = set_up.window_
+def test_one_click_sets_up_the_simulated_rig(qtbot, make_window, tmp_path):
+    window = make_window(Preset())
+    set_up = window.set_up
     said = set()
     window.worker.opening.connect(lambda *_: said.add(set_up.source.state.text()))
     window.open_source("sim:cup")
@@ -62,14 +63,16 @@ def test_one_click_sets_up_the_simulated_rig(qtbot, set_up, tmp_path):
     assert marks(set_up) == "✓" * len(set_up.rows) and verdict.sentence in set_up.headline.text()
 
 
-def test_without_a_source_it_looks_for_cameras_and_says_that_there_are_none(qtbot, set_up):
+def test_without_a_source_it_looks_for_cameras_and_says_that_there_are_none(qtbot, make_window):
+    window = make_window(Preset())
+    set_up = window.set_up
     click(set_up.start)
     qtbot.waitUntil(lambda: not set_up.running, timeout=60_000)
-    assert set_up.window_.messages.by_key.get("source") is not None
+    assert window.messages.by_key.get("source") is not None
     assert set_up.source.mark.text() == "○" and set_up.headline.text() == "Next: source."
 
 
-def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up):
+def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up, monkeypatch):
     window = set_up.window_
 
     def pressed_at_first(index, rig):
@@ -77,7 +80,7 @@ def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up):
         return replace(frame, tactile_depth=(frame.tactile_depth - (120 if index < 8 else 0)).astype(np.uint16))
 
     show_source(qtbot, window, FakeSource(16, make=pressed_at_first), 0)
-    set_up.untouched.work.wanted = 5
+    monkeypatch.setattr(set_up.untouched.work, "wanted", 5)
     click(set_up.untouched.work.start)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None and not set_up.untouched.work.busy)
     camera = CameraNoise(white_m=1e-4, correlated_m=1e-3, length_px=3, changing_share=0.5, distance_m=0.3)
@@ -138,7 +141,7 @@ def test_a_step_that_runs_is_skipped_and_stopped_and_the_run_goes_on(qtbot, set_
 
     for step in (set_up.untouched, set_up.noise):
         monkeypatch.setattr(step.work, "work", endless)
-        step.work.wanted = 5
+        monkeypatch.setattr(step.work, "wanted", 5)
     show_source(qtbot, set_up.window_, FakeSource(80), 0)
     click(set_up.start)
     qtbot.waitUntil(lambda: len(begun) == 1, timeout=60_000)

@@ -118,6 +118,7 @@ def from_fast_dds(fast_dds_program, domain):
     publisher.close()
 
 
+@pytest.mark.long
 def test_cameras_that_fast_dds_publishes(from_fast_dds):
     with open_source(f"ros2:?domain={from_fast_dds}&host=127.0.0.1") as source:
         check_frames(source)
