@@ -1,7 +1,6 @@
 """Publishing in the mode *Record and run*, seen by a Foxglove client of another make."""
 
 import json
-import socket
 import time
 
 import numpy as np
@@ -13,15 +12,13 @@ from PyQt6.QtWidgets import QMenu
 from fakes import FakeSource
 from foxglove_client import FoxgloveClient
 from hands import LEFT, show_source, type_into
-from sockets import listening
+from sockets import free_port, listening
 from tactune.core.estimation.tilt import TiltEstimator
 
 
 @pytest.fixture
 def port():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
+    return free_port()
 
 
 @pytest.fixture

@@ -1,14 +1,16 @@
-"""Simple rigs, also as files."""
+"""Simple rigs, also as files, and their noise."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tactune.core.model.frames import DepthCamera, Rig
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.rig_file import json_text, rig_to_json
+from tactune.core.preset import CameraNoise, RigNoise, now
 
 
 def one_place_rig(
@@ -21,6 +23,14 @@ def one_place_rig(
         tactile=DepthCamera(model="D405", serial=f"t{serial}", intrinsics=lens, depth_unit_m=tactile_unit_m),
         T_proximity_tactile=np.eye(4).tolist(),
     )
+
+
+def rig_noise(white_m: float = 0.0002, correlated_m: float = 0.0, distance_m: float = 0.3, **bias: Any) -> RigNoise:
+    """The noise of a rig whose cameras are equal; its bias is unknown unless it is given."""
+    camera = CameraNoise(
+        white_m=white_m, correlated_m=correlated_m, length_px=4.0, changing_share=1.0, distance_m=distance_m
+    )
+    return RigNoise(proximity=camera, tactile=camera, measured=now(), frames=60, **bias)
 
 
 def save_rig(rig: Rig, path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The sockets of a process on which it listens, and free domains of DDS."""
+"""The sockets of a process on which it listens, free ports and free domains of DDS."""
 
 from __future__ import annotations
 
@@ -15,6 +15,12 @@ def listening(pid: int | None = None) -> set[tuple[str, str, int]]:
     opened = psutil.Process(pid).net_connections("inet")
     waiting = (psutil.CONN_LISTEN, psutil.CONN_NONE)
     return {(_KINDS[each.type], *each.laddr) for each in opened if each.status in waiting and not each.raddr}
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
 
 
 def free_domain() -> int:

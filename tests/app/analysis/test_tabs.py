@@ -2,7 +2,6 @@
 
 import csv
 import math
-import socket
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 
@@ -15,6 +14,7 @@ from fakes import at_rest
 from foxglove_client import FoxgloveClient
 from hands import LEFT, show_source, type_into, type_path
 from small_recordings import small_rig
+from sockets import free_port
 from tactune.core import PoseTracker
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
@@ -123,9 +123,7 @@ def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
 
 def poses_are_published_also_behind_another_tab(qtbot, tab, source):
     publishing = tab.main.publishing.panel
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     QTest.keyClick(tab.main, Qt.Key.Key_F8)
     type_into(publishing.port, str(port), Qt.Key.Key_Tab)
     QTest.mouseClick(publishing.start, LEFT)

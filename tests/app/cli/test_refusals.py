@@ -8,20 +8,12 @@ import pytest
 
 SETTINGS = [
     ("mask.hues=[1,2]", "mask.hue?"),
-    ("tolerance.t=7", "equal to 1"),
-    ("tolerance.t=NaN", "tolerance.t"),
-    ("mask.hue=[1,180]", "mask.hue.1"),
-    ("outliers.k=2.5", "outliers.k"),
     ("mask.enabled=maybe", "maybe"),
-    ("range.limits_m=[0.5,0.1]", "range.limits_m"),
-    ("alignment=rigid", "alignment"),
-    ("alignment.model=sideways", "sideways"),
     ("tolerance.t", "FIELD=VALUE"),
     ("mask.hue=" + "[" * 50_000, "mask.hue"),
     ("alignment.rigid.T_proximity_tactile={}", "alignment.rigid.T_proximity_tactile"),
 ]
 REFUSED = [
-    ("run --source folder:/no/such/folder --json", "/no/such/folder"),
     ("run --source simulator --json", "simulator"),
     ("run --source sim:cup?press= --json", "press is ''"),
     ("run --source rosbag:OUT", "holds no recording"),
@@ -39,7 +31,6 @@ REFUSED = [
     (f"run --source {'x' * 5000} --json", "too long"),
     ("run --source ~nosuchuser/x --json", "nosuchuser"),
     ("run --source \x1b[2Jx --json", "[2Jx"),
-    ("run --source IN --json --set tolerance.tt=1", "did you mean tolerance.t"),
     ("run --source IN --json --preset=", "Is a directory"),
     ("lab strain --source IN --csv OUT", "no ordinary file"),
     ("lab faults --sensor clean&press=low", "sensor is 'clean&press=low'"),
@@ -53,7 +44,6 @@ REFUSED = [
     ("convert sim:cup OUT/a.yaml", "--to ros"),
     ("convert default OUT/a.urdf", "names none"),
     ("convert nowhere OUT/a.urdf", "no source"),
-    ("record -s sim:tea -o OUT/a.mcap", "scene is 'tea'"),
     ("record -s sim -o OUT/a.bag", ".mcap"),
     ("record -s sim -o OUT/a.mcap -p nowhere", "cannot read preset nowhere"),
     ("record -s IN -o IN/precious.mcap", "already there"),
@@ -65,7 +55,6 @@ REFUSED = [
     ("preset capture-untouched --source IN --preset default", "default is no preset file"),
     ("preset measure-rig --source IN --out OUT/clip.mcap", "is no preset file"),
     ("preset measure-rig --source IN --out SHIPPED", "already there"),
-    ("preset suggest --source IN --section musk", "mask, contact_test"),
     ("preset suggest --source IN --preset default --section mask", "capture an untouched frame"),
     ("preset suggest --source IN --frame 5", "no frame 5"),
     ("preset suggest --source IN --frame 5000", "frames run from 0 to 3"),
@@ -75,8 +64,6 @@ REFUSED = [
     ("tune", "give --source"),
     ("tune --source IN --out OUT", "no ordinary file"),
     ("preset suggest --source IN --out IN/rig.json", "already there"),
-    ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=1,1,31,23", "a view of"),
-    ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=nan,1,31,23", "not finite"),
     ("preset create-rig IN --proximity L515=none", "none"),
     *((f"preset new --rig IN --out OUT/a.json --set {setting}", named) for setting, named in SETTINGS),
 ]

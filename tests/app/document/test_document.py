@@ -55,23 +55,14 @@ def test_one_drag_is_one_step_and_two_drags_are_two(document):
     assert document.undo_stack.count() == 0, "a drag that ends where it began is no step"
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "words"),
-    [
-        ("tolerance.t", 2.0, "tolerance.t"),
-        ("mask.saturation", (200, 100), "swap"),
-        ("mask.huee", 3, "mask.hue"),
-        ("outliers.k", "many", "outliers.k"),
-    ],
-)
-def test_a_refused_value_changes_nothing_and_says_why(document, preset, path, value, words):
+def test_a_refused_value_changes_nothing_and_says_why(document, preset):
     said = []
     document.refused.connect(lambda *what: said.append(what))
-    assert not document.edit(path, value)
+    assert not document.edit("mask.saturation", (200, 100))
     assert document.preset is preset
     assert document.undo_stack.count() == 0
-    assert said[0][0] == path
-    assert words in said[0][1]
+    assert said[0][0] == "mask.saturation"
+    assert "swap" in said[0][1]
 
 
 def test_notes_date_what_was_changed_and_those_that_hold_no_longer_go(tmp_path):

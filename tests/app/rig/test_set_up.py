@@ -9,8 +9,9 @@ from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from hands import LEFT, show_source
+from rigs import rig_noise
 from tactune.core.model.frames import Rig
-from tactune.core.preset import CameraNoise, Preset, RigNoise, now
+from tactune.core.preset import Preset
 
 
 @pytest.fixture
@@ -83,8 +84,7 @@ def test_a_press_that_was_captured_as_untouched_is_found_out(qtbot, set_up, monk
     monkeypatch.setattr(set_up.untouched.work, "wanted", 5)
     click(set_up.untouched.work.start)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None and not set_up.untouched.work.busy)
-    camera = CameraNoise(white_m=1e-4, correlated_m=1e-3, length_px=3, changing_share=0.5, distance_m=0.3)
-    window.document.edit("noise", RigNoise(proximity=camera, tactile=camera, measured=now(), frames=60).model_dump())
+    window.document.edit("noise", rig_noise().model_dump())
     click(set_up.bias.work.start)
     qtbot.waitUntil(lambda: set_up.bias.mark.text() == "!", timeout=60_000)
     assert "captured during a press" in set_up.bias.work.sentence.text()
@@ -171,8 +171,7 @@ def test_waiting_for_a_press_is_cancelled_and_changes_nothing(qtbot, set_up):
     click(set_up.untouched.work.start)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None, timeout=60_000)
     qtbot.waitUntil(lambda: not set_up.untouched.work.busy)
-    camera = CameraNoise(white_m=1e-4, correlated_m=1e-3, length_px=3, changing_share=0.5, distance_m=0.3)
-    noise = RigNoise(proximity=camera, tactile=camera, measured=now(), frames=60)
+    noise = rig_noise()
     window.document.edit("noise", noise.model_dump())
     click(set_up.bias.work.start)
     qtbot.waitUntil(lambda: set_up.bias.mark.text() == "…")

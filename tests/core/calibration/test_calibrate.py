@@ -13,7 +13,7 @@ from tactune.core.calibration.points import write_points
 from tactune.core.errors import CalibrationError
 from tactune.core.model.alignment import PointPair
 from tactune.core.preset import Preset
-from tactune.core.preset.file import preset_and_note, preset_json, save_preset
+from tactune.core.preset.file import save_preset
 from tactune.core.sources.presets import load_preset
 
 RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
@@ -30,12 +30,6 @@ def changed(pair, **values):
 def pair_of(name, proximity, tactile, depth_m=None):
     (pu, pv), (tu, tv) = (map(float, place) for place in (proximity, tactile))
     return PointPair(id=str(name), proximity_u=pu, proximity_v=pv, tactile_u=tu, tactile_v=tv, tactile_depth_m=depth_m)
-
-
-@pytest.fixture(scope="module")
-def usual(rig):
-    """The calibration from twelve usual clicks."""
-    return calibrate(clicked(rig), rig)
 
 
 def test_points_that_span_depth_make_it_recommend_rigid(rig):
@@ -167,14 +161,6 @@ def test_an_offset_of_the_depth_is_corrected_only_if_it_is_certain(rig, offset_m
         assert report.rigid.alignment.offset_m == (report.depth_offset.offset_m if certain else 0.0)
 
 
-def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig, usual):
-    preset = usual.apply_to(Preset())
-    assert preset_and_note(preset_json(preset), "memory")[0] == preset
-    assert np.array(preset.alignment.rigid.T_proximity_tactile) == pytest.approx(usual.rigid.alignment.pose)
-    assert preset.alignment.calibration.proximity_serial == "SIM-L515"
-    assert preset.rig == rig
-
-
 def preset_of(pose):
     return Preset().with_value("alignment.rigid.T_proximity_tactile", np.asarray(pose).tolist())
 
@@ -238,5 +224,6 @@ def test_the_preset_gets_the_pose(run, files, rig):
     assert f"wrote {files / 'mine.json'}" in out and "Verdict: " in out
     preset = load_preset(files / "mine.json")
     assert np.allclose(preset.alignment.rigid.T_proximity_tactile, rig.T_proximity_tactile, atol=1e-6)
-    assert (preset.name, preset.tolerance.t) == ("mine", 0.02)
-    assert len(preset.alignment.calibration.points) == 10
+    assert (preset.name, preset.tolerance.t, preset.rig) == ("mine", 0.02, rig)
+    record = preset.alignment.calibration
+    assert (record.proximity_serial, len(record.points)) == ("SIM-L515", 10)

@@ -11,18 +11,12 @@ from rigs import one_place_rig
 from tactune.core.model.clouds import truth_points
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.model.metrics import PixelScores, TruthTree, compare_with_truth, pixel_scores, symmetric_rmse_m
+from tactune.core.model.metrics import TruthTree, compare_with_truth, symmetric_rmse_m
 from tactune.core.model.patch import AlignedDepth, ContactPatch, Lazy, Provenance
 
 LENS = Intrinsics(width=6, height=4, fx=5.0, fy=6.0, cx=2.5, cy=1.5)
 CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=0.001)
 RIG = Rig(proximity=CAMERA, tactile=CAMERA)
-
-
-def test_pixel_scores_by_hand():
-    mask = np.array([[1, 1, 1, 0, 0, 0]], bool)
-    truth = np.array([[0, 1, 1, 1, 1, 1]], bool)
-    assert pixel_scores(mask, truth) == PixelScores(iou=2 / 6, precision=2 / 3, recall=2 / 5)
 
 
 def two_clouds(seed, first, second):

@@ -65,12 +65,6 @@ def record_of(preset):
 # Capturing
 
 
-def test_averaging_takes_the_noise_away():
-    captured = average_untouched(map(untouched_image, range(15)))
-    assert captured.frames == 15
-    assert np.std(captured.frame.tactile_depth - float(MEMBRANE)) < 4.0 / 2.5
-
-
 @pytest.mark.parametrize(("counts", "size", "refused"), [(60, 32, True), (6, 96, False)])
 def test_something_that_touches_meanwhile_is_refused(counts, size, refused):
     frames = [*map(untouched_image, range(4)), dented(untouched_image(4), counts, size)]

@@ -8,15 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import rig_noise
 from tactune.core import ContactPipeline, Preset, open_source
 from tactune.core.errors import CalibrationError
-from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.rig.inflation import Press, fit_inflation, read_forces
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.rig.verdict import judge_rig
 from tactune.core.sources.presets import load_preset
-
-CAMERA = CameraNoise(white_m=2e-4, correlated_m=1e-3, length_px=4, changing_share=0.5, distance_m=0.28)
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +25,7 @@ def press():
 
 def judged(press, test, bias_sigma_m):
     rig, frame, untouched = press
-    noise = RigNoise(
-        proximity=CAMERA, tactile=CAMERA, bias_sigma_m=bias_sigma_m, bias_from="contact", measured=now(), frames=60
-    )
+    noise = rig_noise(0.0002, 0.001, bias_sigma_m=bias_sigma_m, bias_from="contact")
     values = {"contact_test": test, "noise": noise.model_dump(), "mask.enabled": False}  # prints would tell the bias
     return judge_rig(load_preset("simulator").with_values(values), rig, frame, untouched)
 

@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from rigs import rig_noise
 from tactune.core.contact.masking import masked_share
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.findings import Examiner
@@ -19,13 +19,8 @@ NO_MASK = SHIPPED.with_values({"mask.enabled": False})
 PRESSED, UNTOUCHED = "sim:cup?press=medium", "sim:cup?press=none"
 
 
-def noise(sigma_m, bias_m=0.0):
-    """A rig whose cameras both have this white noise, and whose bias was measured."""
-    camera = CameraNoise(white_m=sigma_m, correlated_m=0.0, length_px=0.0, changing_share=1.0, distance_m=0.3)
-    return RigNoise(
-        proximity=camera, tactile=camera, bias_m=bias_m, bias_sigma_m=0.0005, bias_from="prints", measured=now(),
-        frames=60,
-    )  # fmt: skip
+def noise(white_m, bias_m=0.0):
+    return rig_noise(white_m, bias_m=bias_m, bias_sigma_m=0.0005, bias_from="prints")
 
 
 @lru_cache(maxsize=2)

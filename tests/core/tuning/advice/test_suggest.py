@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+from rigs import rig_noise
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError, FrameError
 from tactune.core.model.alignment import CalibrationRecord, ModelSummary
 from tactune.core.model.metrics import compare_with_truth
-from tactune.core.preset import CameraNoise, Preset, RigNoise, now
+from tactune.core.preset import Preset, now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.proposal import Evidence
@@ -122,10 +123,7 @@ def test_progress_rises_and_may_cancel(evidence):
 
 
 def test_the_tolerance_follows_from_the_noise_of_the_rig(evidence, suggest):
-    camera = CameraNoise(white_m=0.0015, correlated_m=0.0, length_px=0.0, changing_share=1.0, distance_m=0.285)
-    noise = RigNoise(
-        proximity=camera, tactile=camera, bias_m=0.0, bias_sigma_m=0.001, bias_from="prints", measured=now(), frames=60
-    )
+    noise = rig_noise(0.0015, 0.0, 0.285, bias_m=0.0, bias_sigma_m=0.001, bias_from="prints")
     proposal = suggest("tolerance", evidence(TOLERANCE.model_copy(update={"noise": noise})))
     assert proposal.apply(TOLERANCE).tolerance.t == pytest.approx(2 * math.hypot(1.5, 1.5) / 285, rel=0.05)
     with pytest.raises(AdviceError, match="noise"):
@@ -165,16 +163,7 @@ def test_a_calibrated_offset_is_corrected_not_reset(evidence, suggest):
 def test_the_bias_of_the_rig_counts_more_than_a_few_frames_unless_these_contradict_it(
     evidence, suggest, measured_m, changes
 ):
-    camera = CameraNoise(white_m=2e-4, correlated_m=1e-3, length_px=4, changing_share=0.5, distance_m=0.28)
-    known = RigNoise(
-        proximity=camera,
-        tactile=camera,
-        bias_m=measured_m,
-        bias_sigma_m=0.0003,
-        bias_from="contact",
-        measured=now(),
-        frames=60,
-    )
+    known = rig_noise(0.0002, 0.001, bias_m=measured_m, bias_sigma_m=0.0003, bias_from="contact")
     shown = evidence(TOLERANCE.model_copy(update={"noise": known}))
     alone = suggest("alignment", evidence(TOLERANCE))
     proposal = suggest("alignment", shown)
