@@ -96,7 +96,7 @@ def test_noise_and_bias_are_said_and_stored(tactune, wall, masked):
     assert finished.status == 0
     tactile, proximity, bias, written = finished.out.splitlines()
     assert tactile.startswith("Tactile noise 0.30 mm") and proximity.startswith("Proximity noise 0.60 mm")
-    assert bias.startswith("The proximity camera reads 4.0 ± 0.2 mm farther")
+    assert bias.startswith("Bias between the cameras: +4.0 ± 0.2 mm, proximity farther")
     assert written == f"wrote {masked}"
     preset = load_preset(masked)
     assert preset.noise.bias_m == pytest.approx(0.004, abs=2e-4)
