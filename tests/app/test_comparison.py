@@ -97,17 +97,12 @@ def compared(edited, qtbot):
     return edited
 
 
-def choose_in_menu(window, title, action):
-    """Open a menu of the menu bar with the mouse, and click an entry."""
-    bar = window.menuBar()
-    [entry] = [entry for entry in bar.actions() if entry.text() == title]
+def test_what_changed_since_save_from_the_menu(edited, qtbot):
+    bar = edited.menuBar()
+    [entry] = [entry for entry in bar.actions() if entry.text() == "&Edit"]
     QTest.mouseClick(bar, LEFT, pos=bar.actionGeometry(entry).center())
     menu = entry.menu()
-    QTest.mouseClick(menu, LEFT, pos=menu.actionGeometry(action).center())
-
-
-def test_what_changed_since_save_from_the_menu(edited, qtbot):
-    choose_in_menu(edited, "&Edit", edited.actions_.compare)
+    QTest.mouseClick(menu, LEFT, pos=menu.actionGeometry(edited.actions_.compare).center())
     qtbot.waitUntil(lambda: edited.result.compared is not None)
     shown, panel = edited.result.compared, edited.comparison
     assert (shown.a.side.name, shown.b.side.name) == ("Saved", "Present")

@@ -41,10 +41,6 @@ def window(qtbot, window):
     return window
 
 
-def offset_row(window):
-    return window.panel.rows["alignment.depth_offset_m"]
-
-
 def found(window):
     return window.rail.title.text() == "Findings: 1"
 
@@ -59,7 +55,7 @@ def button(widget, text):
 
 
 def test_the_rail_mends_and_nothing_moves(window, qtbot):
-    row = offset_row(window)
+    row = window.panel.rows["alignment.depth_offset_m"]
     assert "+12.0 mm: the cameras disagree" in row.label.toolTip(), "the field is marked"
     assert "+12.0 mm: the cameras disagree" in text_of(window.rail)
     places = [place(widget, window) for widget in (window.panel, row.widget, window.rail)]

@@ -171,29 +171,17 @@ def test_pause_step_and_seek(window, qtbot):
     qtbot.waitUntil(lambda: not window.transport.state.playing)
 
 
-def choose_by_keyboard(window, qtbot, key):
-    box = window.panel.rows["contact_test"].widget
-    window.activateWindow()
-    window.panel.ensureWidgetVisible(box)
-    box.setFocus()
-    QTest.keyClick(box, key)
-    qtbot.waitUntil(lambda: shows_preset_of_document(window))
-    return box
-
-
-def type_gap_mm(window, qtbot, text):
-    entry = window.panel.rows["membrane.gap_m"].widget.entry
-    window.panel.ensureWidgetVisible(entry)
-    type_into(entry, text)
-    qtbot.waitUntil(lambda: shows_preset_of_document(window))
-
-
 def test_choose_tune_and_undo(window, qtbot):
     """The disc of the tiny frames is 2 mm behind the membrane: within the tolerance, no contact in equilibrium."""
     window.document.edit("membrane.trust_m", 0.008)  # the tiny membrane is flat, as no inflated one is
     before, patch_before = window.document.preset, window.result.patch
     assert len(patch_before.points) > 0
-    box = choose_by_keyboard(window, qtbot, Qt.Key.Key_Up)
+    box = window.panel.rows["contact_test"].widget
+    window.activateWindow()
+    window.panel.ensureWidgetVisible(box)
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Up)
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
     assert window.document.preset.contact_test == "membrane"
     assert window.document.undo_stack.undoText() == "Contact test membrane"
     assert tuple(window.result.patch.stage_ms) == tuple(MembraneTest.steps)
@@ -202,7 +190,10 @@ def test_choose_tune_and_undo(window, qtbot):
     assert window.panel.histograms["membrane.gap_m"].isVisible()
     assert not window.panel.histograms["tolerance.t"].isVisible()
 
-    type_gap_mm(window, qtbot, "3")
+    entry = window.panel.rows["membrane.gap_m"].widget.entry
+    window.panel.ensureWidgetVisible(entry)
+    type_into(entry, "3")
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
     assert window.document.preset.membrane.gap_m == 0.003
     expected = ContactPipeline(window.document.preset, tiny_rig()).process(tiny_frame(3, tiny_rig()))
     assert len(expected.points) > 0

@@ -171,12 +171,6 @@ def fail_to_open(window, qtbot):
     qtbot.waitUntil(lambda: window.messages.by_key.get("source") is not None)
 
 
-def other_source(window, qtbot, name):
-    source = FakeSource()
-    source.name = name
-    show_source(qtbot, window, source)
-
-
 def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording_or_a_calibration(window, qtbot, tmp_path):
     show_source(qtbot, window, FakeSource(live=True, name="live"))
     fail_to_open(window, qtbot)
@@ -195,7 +189,7 @@ def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, 
     window.messages.show_message("export", Severity.ERROR, "The disk is full.", subject="task")
     window.messages.show_message("worker", Severity.ERROR, "Frame 2 is damaged.", subject="source")
     window.messages.show_message("defect", Severity.ERROR, "The membrane burst.")
-    other_source(window, qtbot, "another")
+    show_source(qtbot, window, FakeSource(name="another"))
     assert window.messages.sentences() == ["The membrane burst."]
 
 

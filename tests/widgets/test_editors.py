@@ -6,18 +6,13 @@ from PyQt6.QtTest import QTest
 
 from hands import LEFT, shown, turn_wheel, type_into
 from tactune.core.preset import Preset
-from tactune.widgets.basics.fields import section_fields
+from tactune.widgets.basics.fields import field_spec
 from tactune.widgets.parameters.editors import NumbersEditor
 from tactune.widgets.parameters.slider import Scale, Slider
 
 
-def spec_of(path):
-    name = path.partition(".")[0]
-    return next(spec for spec in section_fields(type(getattr(Preset(), name)), name) if spec.path == path)
-
-
 def make_slider(qtbot, path):
-    return shown(qtbot, NumbersEditor(spec_of(path)), 260, 30)
+    return shown(qtbot, NumbersEditor(field_spec(Preset, path)), 260, 30)
 
 
 def record(widget):

@@ -229,13 +229,10 @@ def test_a_small_pane_gets_every_nth_pixel(hint):
 FULL = MaskSection(hue=(0, 179), saturation=(0, 255), value=(0, 255))
 
 
-def every_color():
-    """A coarse grid over the whole HSV cube, as (N, 3)."""
-    h, s, v = np.meshgrid(np.arange(180), np.arange(0, 256, 15), np.arange(0, 256, 15), indexing="ij")
-    return np.stack([h, s, v], axis=-1).reshape(-1, 3).astype(np.uint8)
-
-
-COLORS = every_color()
+#: A coarse grid over the whole HSV cube, as (N, 3).
+COLORS = np.stack(
+    np.meshgrid(np.arange(180), np.arange(0, 256, 15), np.arange(0, 256, 15), indexing="ij"), axis=-1
+).reshape(-1, 3).astype(np.uint8)  # fmt: skip
 
 
 def patch_of(hue, saturation, value, spread, seed):
@@ -256,10 +253,6 @@ def contains(mask, hsv):
     return np.any(found, axis=0).reshape(hsv.shape[:-1])
 
 
-def to_hsv(rgb):
-    return cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
-
-
 hues = st.integers(0, 179)
 byte_spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
 ranges = st.builds(MaskSection, hue=st.tuples(hues, hues), saturation=byte_spans, value=byte_spans)
@@ -273,7 +266,7 @@ samples = st.one_of(patches, noise)
 @given(samples, ranges)
 def test_set_covers_nine_tenths_of_every_channel(rgb, present):
     fresh = new_ranges(rgb, present, "set")
-    hsv = to_hsv(rgb).reshape(-1, 3)
+    hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV).reshape(-1, 3)
     for channel, span in ((1, fresh.saturation), (2, fresh.value)):
         assert np.mean((hsv[:, channel] >= span[0]) & (hsv[:, channel] <= span[1])) >= 0.9
     colorful = hsv[(hsv[:, 1] >= 25) & (hsv[:, 2] >= 25), 0].astype(int)

@@ -30,18 +30,13 @@ def assert_same_recording(first, second):
     assert all(map(same_frame, first, second))
 
 
-def length_of(path):
-    with McapSource(path) as source:
-        return source.length
-
-
 def test_a_recording_is_recorded_whole(tmp_path, recording, tactune):
     done = tactune("record", "--source", recording, "--out", tmp_path / "new" / "a.mcap", "--preset", "default")
     assert (done.status, done.err) == (0, "")
     assert done.out.startswith(f"recorded 4 frames of folder:{recording}, ")
     tactune("record", "-s", recording, "-o", tmp_path / "short.mcap", "--frames", 3)
-    assert length_of(tmp_path / "short.mcap") == 3
-    with McapSource(tmp_path / "new" / "a.mcap") as source:
+    with McapSource(tmp_path / "short.mcap") as short, McapSource(tmp_path / "new" / "a.mcap") as source:
+        assert short.length == 3
         assert source.preset() == load_preset("default")
         with open_source(str(recording)) as original:
             assert_same_recording(source, original)

@@ -44,10 +44,6 @@ def serving(*words):
             process.kill()
 
 
-def number_of(frame):
-    return int(json.loads(frame["/tactune/frame"].data)["sequence"])
-
-
 def find(number, preset):
     """Return a frame of the source that is served, and its patch."""
     with open_source(SOURCE) as source:
@@ -97,7 +93,7 @@ def test_tilt_goes_to_foxglove_beside_ros_2_and_both_end_cleanly():
         assert process.returncode == 0
         assert re.fullmatch(r"published \d+ frames? of live:sim:cup\n", out)
         assert "Traceback" not in err
-    _, patch = find(number_of(seen), load_preset("simulator"))
+    _, patch = find(json.loads(seen["/tactune/frame"].data)["sequence"], load_preset("simulator"))
     tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
     assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
 

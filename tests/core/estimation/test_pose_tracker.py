@@ -7,13 +7,13 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from rigs import rig_noise
 from tactune.core import ContactPipeline, load_preset
 from tactune.core.errors import CalibrationError, MissingExtraError, SourceError
 from tactune.core.estimation.object_mesh import ObjectMesh, load_mesh, simulated_mesh
 from tactune.core.estimation.pose import PoseTracker, pose_error
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
-from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scene import simulator_rig
 from tactune.core.sources.simulator.simulator_source import SimulatorSource
 
@@ -56,14 +56,6 @@ def pressed(mesh, pose, deep_m=0.006, half_m=0.02, noise_m=0.0, sequence=0, seed
     return ContactPatch(sequence, points.astype(np.float32), np.zeros((480, 640), np.uint8), nowhere, RIG, {})
 
 
-def with_white_noise(noise_m):
-    camera = {"white_m": noise_m, "correlated_m": 0, "length_px": 0, "changing_share": 1, "distance_m": 0.3}
-    far = CameraNoise(**{**camera, "white_m": 1.0})
-    return PRESET.model_copy(
-        update={"noise": RigNoise(proximity=CameraNoise(**camera), tactile=far, measured=now(), frames=10)}
-    )
-
-
 @pytest.mark.parametrize("shape", FREE)
 def test_directions_that_a_shape_leaves_free_are_found_and_held(shape):
     mesh = mesh_of(shape)
@@ -85,7 +77,7 @@ def test_directions_that_a_shape_leaves_free_are_found_and_held(shape):
 
 def test_covariance_covers_the_errors_of_noise():
     mesh, true = mesh_of("egg"), pose_of((20, 15, 40))
-    preset, sizes = with_white_noise(WHITE_M), []
+    preset, sizes = PRESET.with_value("noise", rig_noise(WHITE_M).model_dump()), []
     for seed in range(16):
         tracker = PoseTracker(mesh, preset, RIG)
         tracker.start(true)

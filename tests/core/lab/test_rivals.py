@@ -126,13 +126,9 @@ def test_failures_are_told_and_do_not_spoil_the_next_frame(bulged, housing):
     half[:, :160] = 0
     for counts in (np.zeros_like(half), half):
         with pytest.raises(TactuneError, match="nodes"):
-            method.find(with_tactile(frame, counts))
+            method.find(replace(frame, tactile_depth=counts))
     np.testing.assert_array_equal(method.find(frame).points, before)
 
 
 def mechanics(membrane, nodes=440):
     return MembraneMechanics(Preset(), membrane.rig, membrane.frame(0.0), nodes)
-
-
-def with_tactile(frame, counts):
-    return replace(frame, tactile_depth=counts)

@@ -42,14 +42,6 @@ def test_a_sample_of_the_truth_tells_nearly_the_same():
     assert TruthTree(truth, samples=1000).symmetric_rmse_m(patch) == pytest.approx(symmetric_rmse_m(patch, truth), 0.02)
 
 
-def make_truth():
-    contact = np.zeros((4, 6), bool)
-    contact[1, 2:5] = contact[3, 0] = True
-    depth_m = np.linspace(0.2, 0.3, 24, dtype=np.float32).reshape(4, 6)
-    depth_m[1, 3] = np.nan
-    return GroundTruth(contact, depth_m)
-
-
 def make_patch(mask, points):
     provenance = np.where(mask, Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8)
     nothing = np.full(mask.shape, np.nan, np.float32)
@@ -65,7 +57,11 @@ def test_truth_without_depth_has_no_cloud():
 
 
 def test_a_patch_is_scored_in_pixels_and_millimetres():
-    truth = make_truth()
+    contact = np.zeros((4, 6), bool)
+    contact[1, 2:5] = contact[3, 0] = True
+    depth_m = np.linspace(0.2, 0.3, 24, dtype=np.float32).reshape(4, 6)
+    depth_m[1, 3] = np.nan
+    truth = GroundTruth(contact, depth_m)
     cloud = truth_points(truth, RIG)
     mask = truth.contact.copy()
     mask[3, 0] = False

@@ -62,13 +62,6 @@ def test_frames_depend_on_seed_and_index_only(noise):
     assert same == [noise == 0.0] * 4
 
 
-def clean_states(simulator):
-    """The states from which a simulator draws its frames, read from its file."""
-    scene = simulator.scene
-    path = cache_file(scene.name, f"{scene.key} {simulator.rig.model_dump_json()}")
-    return (load_scene(SHIPPED / path.name, len(scene.drawn)) or load_scene(path, len(scene.drawn))).states
-
-
 def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(tmp_path, monkeypatch):
     monkeypatch.setattr(simulator_source, "user_cache_dir", lambda name: str(tmp_path / name))
     solved, solve = [], SimulatorSource.solve_anew
@@ -98,11 +91,11 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
         assert other[1] == first[1]
 
 
-def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):
+def test_the_default_scene_comes_with_the_package():
     """If it does not: run scripts/ship_scene.py."""
-    simulator = SimulatorSource()
-    monkeypatch.setattr(simulator_source, "user_cache_dir", lambda name: str(tmp_path))
-    assert len(clean_states(simulator)) == len(simulator.scene.drawn)
+    scene, rig = SimulatorSource().scene, simulator_rig()
+    file = cache_file(scene.name, f"{scene.key} {rig.model_dump_json()}")
+    assert len(load_scene(SHIPPED / file.name, len(scene.drawn)).states) == len(scene.drawn)
 
 
 COARSE = (60, 36)
