@@ -59,8 +59,8 @@ def make_frame(
     )
 
 
-def same_frame(one: SensorFrame, other: SensorFrame, *, pose: bool = True) -> bool:
-    """Whether two frames agree in every number and every bit; ``pose``: also in the object's true pose."""
+def same_frame(one: SensorFrame, other: SensorFrame) -> bool:
+    """Whether two frames agree in every number and every bit."""
 
     def facts(frame: SensorFrame) -> dict[str, object]:
         arrays = {"truth": frame.truth is not None}
@@ -74,7 +74,7 @@ def same_frame(one: SensorFrame, other: SensorFrame, *, pose: bool = True) -> bo
         }
         for name, image in images.items():
             arrays[name] = None if image is None else (image.dtype, image.shape, image.tobytes())
-        true_pose = frame.truth.T_proximity_object if frame.truth and pose else None
+        true_pose = frame.truth.T_proximity_object if frame.truth else None
         return arrays | {"pose": true_pose, "times": (frame.sequence, frame.proximity_time_s, frame.tactile_time_s)}
 
     return facts(one) == facts(other)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from fakes import FakeSource
 from tactune.core.model.frames import ColorCamera, DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion, Intrinsics
+from tactune.core.output.writer import RecordingStatus, SessionWriter
 
 UNIT_M = 0.00025
 POSE = ((0.0, -1.0, 0.0, 0.04), (1.0, 0.0, 0.0, -0.01), (0.0, 0.0, 1.0, 0.1 / 3), (0.0, 0.0, 0.0, 1.0))
@@ -48,6 +52,20 @@ def make_frame(seed: int, rig: Rig = RIG, **changes: object) -> SensorFrame:
         "truth": GroundTruth(rng.random(shape) < 0.5, truth_m),
     }
     return SensorFrame(**(values | changes))  # type: ignore[arg-type]
+
+
+def make_frames(count: int) -> list[SensorFrame]:
+    return [make_frame(seed) for seed in range(count)]
+
+
+def record(path: Path, rig: Rig, frames: list[SensorFrame], **options: Any) -> RecordingStatus:
+    """Write frames to a recording, losing none."""
+    with SessionWriter(path, rig, **options) as writer:
+        for frame in frames:
+            assert writer.put(frame, wait=True)
+    status = writer.close()
+    assert status.error == ""
+    return status
 
 
 def list_source(frames: list[SensorFrame], rig: Rig = RIG, untouched: SensorFrame | None = None) -> FakeSource:

@@ -8,6 +8,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
+from capture_sources import same_frame
+from folder_scenes import RIG, make_frame, make_frames, record
 from tactune.core import load_preset
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import SourceError
@@ -36,13 +38,13 @@ COUNT = 3
 
 
 @pytest.fixture
-def frames(make_frames):
+def frames():
     return make_frames(COUNT)
 
 
 @pytest.fixture
-def path(tmp_path, rig, frames, record):
-    record(tmp_path / "a.mcap", rig, frames, preset=load_preset("default"))
+def path(tmp_path, frames):
+    record(tmp_path / "a.mcap", RIG, frames, preset=load_preset("default"))
     return tmp_path / "a.mcap"
 
 
@@ -78,7 +80,7 @@ def test_the_container_has_all_that_readers_seek_by(path):
     assert metadata["tactune"]["frame_rate_hz"] == "30.0"
 
 
-def test_topics_images_and_stamps(path, rig, frames):
+def test_topics_images_and_stamps(path, frames):
     found = decode(path)
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: 1 if topic in ("/tactune/rig", "/tf_static") else COUNT for topic in TYPES
@@ -108,7 +110,7 @@ def test_topics_images_and_stamps(path, rig, frames):
             assert message.sequence == frame.sequence
 
 
-def test_static_transforms_are_the_factory_poses(path, rig):
+def test_static_transforms_are_the_factory_poses(path):
     ((_, message),) = decode(path)["/tf_static"]
     poses = {}
     for transform in message.transforms:
@@ -118,8 +120,8 @@ def test_static_transforms_are_the_factory_poses(path, rig):
         pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
         pose[:3, 3] = t.x, t.y, t.z
         poses[transform.child_frame_id] = pose
-    np.testing.assert_allclose(poses["tactile_depth_optical_frame"], rig.T_proximity_tactile, atol=1e-12)
-    T_depth_color = np.linalg.inv(rig.proximity_color.T_color_depth)
+    np.testing.assert_allclose(poses["tactile_depth_optical_frame"], RIG.T_proximity_tactile, atol=1e-12)
+    T_depth_color = np.linalg.inv(RIG.proximity_color.T_color_depth)
     np.testing.assert_allclose(poses["proximity_color_optical_frame"], T_depth_color, atol=1e-12)
 
 
@@ -127,16 +129,14 @@ LATE_NS = {"/tactune/frame": 0, "/proximity/depth/image": 3_000_000, "/tactile/d
 
 
 @pytest.fixture
-def timed(rig, make_frame):
+def timed():
     """Frames at 30 Hz."""
-    return [
-        make_frame(rig, seed, proximity_time_s=2.0 + seed / 30, tactile_time_s=2.001 + seed / 30) for seed in range(5)
-    ]
+    return [make_frame(seed, proximity_time_s=2.0 + seed / 30, tactile_time_s=2.001 + seed / 30) for seed in range(5)]
 
 
 @pytest.fixture
-def ours(tmp_path, rig, timed, record):
-    record(tmp_path / "ours.mcap", rig, timed)
+def ours(tmp_path, timed):
+    record(tmp_path / "ours.mcap", RIG, timed)
     return tmp_path / "ours.mcap"
 
 
@@ -175,10 +175,10 @@ def rewrite(ours, target, without=(), late=False, **options):
         {"late": True, "chunk_size": 300},
     ],
 )
-def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, rig, timed, same_frame, options):
+def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, timed, options):
     with McapSource(rewrite(ours, tmp_path / "copy.mcap", **options)) as source:
         assert source.health().ok
-        assert source.rig == rig
+        assert source.rig == RIG
         assert source.length == len(timed)
         assert all(map(same_frame, source, timed))
         assert source.frame_rate_hz == pytest.approx(30.0, rel=1e-6)
@@ -189,7 +189,7 @@ def test_a_bag_without_a_rig_is_refused(tmp_path, ours):
         McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune",)))
 
 
-def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours, rig, timed):
+def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours, timed):
     for without, sentence in (
         ("/tactile/depth/image", r"holds no frame: there is no image on /tactile/depth/image \(its topics are /prox"),
         ("/", r"holds no frame: .* \(it has no messages\)"),

@@ -12,6 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from capture_sources import same_frame
+from folder_scenes import RIG, make_frame, make_frames, make_rig, record
 from tactune.core import load_preset
 from tactune.core.errors import AdviceError, ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth
@@ -25,13 +27,11 @@ TIMES = st.floats(-1e9, 2e9)
 
 @settings(max_examples=40)
 @given(data=st.data(), proximity=SIZES, tactile=SIZES, color=st.none() | SIZES)
-def test_every_bit_of_random_frames_comes_back(
-    make_rig, make_frame, record, same_frame, data, proximity, tactile, color
-):
+def test_every_bit_of_random_frames_comes_back(data, proximity, tactile, color):
     rig = make_rig(proximity, tactile, color)
     frames = []
     for seed in range(data.draw(st.integers(1, 5))):
-        frame = make_frame(rig, seed)
+        frame = make_frame(seed, rig)
         changes = {
             "sequence": data.draw(st.integers(0, 2**40)),
             "proximity_time_s": data.draw(TIMES),
@@ -57,9 +57,9 @@ def test_every_bit_of_random_frames_comes_back(
                 assert same_frame(source.next_frame(), frames[index])
 
 
-def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(tmp_path, rig, make_frame, same_frame):
-    good = make_frame(rig)
-    with SessionWriter(tmp_path / "a.mcap", rig) as writer:
+def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(tmp_path):
+    good = make_frame(0)
+    with SessionWriter(tmp_path / "a.mcap", RIG) as writer:
         for bad, reason in (
             (replace(good, proximity_depth=np.zeros((5, 8), np.uint16)), r"/proximity/depth/image is uint16, \(5, 8\)"),
             (replace(good, tactile_color=np.zeros((9, 9, 3), np.uint8)), r"/tactile/color/image is uint8, \(9, 9, 3\)"),
@@ -73,19 +73,19 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(tmp_path
         assert same_frame(source.next_frame(), good)
 
 
-def test_a_name_in_work_is_refused_and_no_file_is_left_empty(tmp_path, rig):
+def test_a_name_in_work_is_refused_and_no_file_is_left_empty(tmp_path):
     path = tmp_path / "a.mcap"
-    writer = SessionWriter(path, rig)
+    writer = SessionWriter(path, RIG)
     with pytest.raises(ExportError, match="already there"):
-        SessionWriter(path, rig)
+        SessionWriter(path, RIG)
     assert path.exists()
     status = writer.close()
     assert status.error == f"no frame arrived for {path}, so there is no file; check the source"
     assert not path.exists()
 
 
-def test_a_damaged_preset_says_so_and_the_frames_still_play(tmp_path, rig, make_frames, record):
-    record(tmp_path / "a.mcap", rig, make_frames(1), preset=load_preset("default"))
+def test_a_damaged_preset_says_so_and_the_frames_still_play(tmp_path):
+    record(tmp_path / "a.mcap", RIG, make_frames(1), preset=load_preset("default"))
     data = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "b.mcap").write_bytes(data.replace(b'"tactune.preset"', b'"tactune.nonsens'))
     with McapSource(tmp_path / "b.mcap") as source:
@@ -105,9 +105,9 @@ def plays(path, frames, same):
         return source.length
 
 
-def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(tmp_path, rig, make_frames, record, same_frame):
+def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(tmp_path):
     frames = make_frames(4)
-    record(tmp_path / "whole.mcap", rig, frames)
+    record(tmp_path / "whole.mcap", RIG, frames)
     data = (tmp_path / "whole.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     lengths = []
@@ -123,9 +123,9 @@ def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(tmp_path, rig, make_fr
     assert {count for _, count in lengths} == {0, 1, 2, 3, 4}
 
 
-def test_opening_a_long_recording_can_be_cancelled(tmp_path, rig, make_frames, record):
+def test_opening_a_long_recording_can_be_cancelled(tmp_path):
     path = tmp_path / "long.mcap"
-    record(path, rig, make_frames(2) * 150)
+    record(path, RIG, make_frames(2) * 150)
 
     def cancel(share, words):
         assert 0.0 < share < 1.0
@@ -135,9 +135,9 @@ def test_opening_a_long_recording_can_be_cancelled(tmp_path, rig, make_frames, r
         McapSource(path, cancel)
 
 
-def test_a_damaged_frame_is_told_and_the_others_play(tmp_path, rig, make_frames, record, same_frame):
+def test_a_damaged_frame_is_told_and_the_others_play(tmp_path):
     frames = make_frames(3)
-    record(tmp_path / "whole.mcap", rig, frames)
+    record(tmp_path / "whole.mcap", RIG, frames)
     data = bytearray((tmp_path / "whole.mcap").read_bytes())
     second = [offset for offset in range(len(data)) if data[offset : offset + 4] == LZ4_MAGIC][1]
     data[second + 300] ^= 0xFF
@@ -149,7 +149,7 @@ def test_a_damaged_frame_is_told_and_the_others_play(tmp_path, rig, make_frames,
         assert same_frame(source.read(2), frames[2])
 
 
-def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same_frame, monkeypatch):
+def test_a_full_queue_drops_and_counts_or_waits(tmp_path, monkeypatch):
     go = threading.Event()
     write = BagWriter.write
 
@@ -160,7 +160,7 @@ def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same
     monkeypatch.setattr(BagWriter, "write", slowly)
     monkeypatch.setattr("tactune.core.output.writer._QUEUE_BYTES", 1)
     frames = make_frames(6)
-    writer = SessionWriter(tmp_path / "slow.mcap", rig)
+    writer = SessionWriter(tmp_path / "slow.mcap", RIG)
     assert writer.put(frames[0], wait=True)
     end = time.monotonic() + 60
     while not writer.put(frames[1], wait=False):  # until the thread has taken the first
