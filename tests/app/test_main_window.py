@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -220,15 +219,6 @@ def test_f1_opens_the_guide_that_ships_with_the_package(window, opened, monkeypa
     assert opened[1:] == [str(tmp_path / "keys.html")]
 
 
-TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
-
-
-@pytest.fixture(scope="module")
-def result():
-    info = SourceInfo("tiny", tiny_rig(), 1, 30.0)
-    return FrameProcessor().process(info, tiny_frame(3, info.rig), Preset(), Wanted(), PlaybackState())
-
-
 @pytest.fixture
 def bar(qtbot):
     made = FrameStatus()
@@ -238,16 +228,13 @@ def bar(qtbot):
     return made
 
 
-def give(bar, result, times=TIMES, **changes):
-    patch = SimpleNamespace(points=result.patch.points, averaged_frames=1, stage_ms=times)
-    bar.show_result(replace(result, patch=patch, **changes))
-
-
-def test_the_numbers_say_how_sure_the_patch_is_and_why(bar, result):
+def test_the_numbers_say_how_sure_the_patch_is_and_why(bar):
+    info = SourceInfo("tiny", tiny_rig(), 1, 30.0)
+    result = FrameProcessor().process(info, tiny_frame(3, info.rig), Preset(), Wanted(), PlaybackState())
     doubtful = replace(result, area_mm2=300.0, doubt=Doubt(0.609, 2.34, ("no dent",)))
     values = [reading.value for reading in patch_readings(doubtful, 30.0)]
     assert values[:3] == ["300 mm²", "60 %", "±2.3 mm"]
-    give(bar, doubtful)
+    bar.show_result(doubtful)
     assert "Doubts about contact: no dent" in bar.details.text()
 
 

@@ -12,14 +12,7 @@ from tactune.widgets.parameters.parameter_panel import ParameterPanel
 @pytest.fixture(autouse=True)
 def light_theme(qapp):
     apply_theme(qapp, "light")
-
-
-@pytest.fixture(autouse=True)
-def every_mouse_move_counts():
-    before = pg.getConfigOption("mouseRateLimit")
-    pg.setConfigOptions(mouseRateLimit=-1)
-    yield
-    pg.setConfigOptions(mouseRateLimit=before)
+    pg.setConfigOptions(mouseRateLimit=-1)  # every mouse move counts
 
 
 @pytest.fixture

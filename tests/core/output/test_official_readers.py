@@ -35,16 +35,12 @@ TYPES = {
     "/truth/depth/image": "sensor_msgs/msg/Image",
 }
 COUNT = 3
+FRAMES = make_frames(COUNT)
 
 
 @pytest.fixture
-def frames():
-    return make_frames(COUNT)
-
-
-@pytest.fixture
-def path(tmp_path, frames):
-    record(tmp_path / "a.mcap", RIG, frames, preset=load_preset("default"))
+def path(tmp_path):
+    record(tmp_path / "a.mcap", RIG, FRAMES, preset=load_preset("default"))
     return tmp_path / "a.mcap"
 
 
@@ -80,12 +76,12 @@ def test_the_container_has_all_that_readers_seek_by(path):
     assert metadata["tactune"]["frame_rate_hz"] == "30.0"
 
 
-def test_topics_images_and_stamps(path, frames):
+def test_topics_images_and_stamps(path):
     found = decode(path)
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: 1 if topic in ("/tactune/rig", "/tf_static") else COUNT for topic in TYPES
     }
-    for index, frame in enumerate(frames):
+    for index, frame in enumerate(FRAMES):
         images = {
             "/proximity/depth/image": ("16UC1", "proximity_depth_optical_frame", frame.proximity_depth),
             "/proximity/color/image": ("rgb8", "proximity_color_optical_frame", frame.proximity_color),
@@ -128,15 +124,13 @@ def test_static_transforms_are_the_factory_poses(path):
 LATE_NS = {"/tactune/frame": 0, "/proximity/depth/image": 3_000_000, "/tactile/depth/image": 9_000_000}
 
 
-@pytest.fixture
-def timed():
-    """Frames at 30 Hz."""
-    return [make_frame(seed, proximity_time_s=2.0 + seed / 30, tactile_time_s=2.001 + seed / 30) for seed in range(5)]
+#: At 30 Hz.
+TIMED = [make_frame(n, proximity_time_s=2.0 + n / 30, tactile_time_s=2.001 + n / 30) for n in range(5)]
 
 
 @pytest.fixture
-def ours(tmp_path, timed):
-    record(tmp_path / "ours.mcap", RIG, timed)
+def ours(tmp_path):
+    record(tmp_path / "ours.mcap", RIG, TIMED)
     return tmp_path / "ours.mcap"
 
 
@@ -175,12 +169,12 @@ def rewrite(ours, target, without=(), late=False, **options):
         {"late": True, "chunk_size": 300},
     ],
 )
-def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, timed, options):
+def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, options):
     with McapSource(rewrite(ours, tmp_path / "copy.mcap", **options)) as source:
         assert source.health().ok
         assert source.rig == RIG
-        assert source.length == len(timed)
-        assert all(map(same_frame, source, timed))
+        assert source.length == len(TIMED)
+        assert all(map(same_frame, source, TIMED))
         assert source.frame_rate_hz == pytest.approx(30.0, rel=1e-6)
 
 
@@ -189,7 +183,7 @@ def test_a_bag_without_a_rig_is_refused(tmp_path, ours):
         McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune",)))
 
 
-def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours, timed):
+def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours):
     for without, sentence in (
         ("/tactile/depth/image", r"holds no frame: there is no image on /tactile/depth/image \(its topics are /prox"),
         ("/", r"holds no frame: .* \(it has no messages\)"),
@@ -198,7 +192,7 @@ def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours, timed):
             McapSource(rewrite(ours, tmp_path / "part.mcap", without=(without,)))
 
 
-FIRST, COUNT = 28, 4
+FIRST = 28
 
 
 @pytest.fixture(scope="module")
