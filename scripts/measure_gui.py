@@ -28,7 +28,8 @@ from tactune.core.sources.presets import default_preset, load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
-WARM_UP_FRAMES = 30
+#: A round of the default recording, in which the simulator unpacks its scene.
+WARM_UP_FRAMES = 90
 _read = FrameReader._read
 
 

@@ -24,10 +24,7 @@ _NONE = (
     "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
     "run tactune doctor: it reports what is missing and the remedy."
 )
-_ONE = (
-    "Only one camera was found. Plug in the other one and press Refresh, or choose no proximity camera for a rig "
-    "with a tactile camera only."
-)
+_ONE = "Only one camera was found. Plug in the other one and press Refresh, or choose none as the proximity camera."
 _WHICH = "Choose the tactile camera."
 _SAME = "The same camera is chosen twice: choose another one for one role."
 _ANY = "by its model"

@@ -39,7 +39,7 @@ class DropReason(NamedTuple):
     action: str = ""
 
 
-MASK_REASON: Final = DropReason("the mask", "if something touches there, narrow its colour ranges")
+MASK_REASON: Final = DropReason("the mask", "if something touches, narrow its colour ranges")
 
 
 class BiasLimits(NamedTuple):
@@ -104,8 +104,8 @@ class ContactTest(ABC):
         its result, beyond those of the steps before it.
     summary, note : str
         One sentence for the tooltip of ``contact_test``, and one below the choice in the panel.
-    near_words, looser_words : str
-        How messages call a point that reached the drop reasons' steps, and what makes the test accept more points.
+    looser_words : str
+        What makes the test accept more points, for messages.
     drop_reasons : dict of Provenance to DropReason
         For verdicts on points that were near the object.
     frames_field : str
@@ -125,7 +125,6 @@ class ContactTest(ABC):
     steps: ClassVar[Mapping[str, tuple[str, ...]]]
     summary: ClassVar[str]
     note: ClassVar[str]
-    near_words: ClassVar[str] = "passed the contact test"
     looser_words: ClassVar[str]
     drop_reasons: ClassVar[Mapping[Provenance, DropReason]]
     frames_field: ClassVar[str] = ""
@@ -162,9 +161,5 @@ class ContactTest(ABC):
             return f"No contact yet: press the object into the membrane, or {cls.looser_words}", ""
         by = max(dropped, key=lambda verdict: dropped[verdict])
         reason = cls.drop_reasons[by]
-        if reason is MASK_REASON:  # as over prints of an untouched membrane
-            left_out = counted(dropped[by], "point")
-            return f"Nothing in contact. The mask left out {left_out}; {reason.remedy}", reason.action
-        share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
-        near = f"{counted(total, 'point')} {cls.near_words}"
-        return f"No contact: {near}, but {reason.step} dropped {share}; {reason.remedy}", reason.action
+        left_out = f"{dropped[by]:,} of {counted(total, 'point')} that could touch"
+        return f"Nothing in contact: {reason.step} left out {left_out}; {reason.remedy}", reason.action

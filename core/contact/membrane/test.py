@@ -33,7 +33,6 @@ class MembraneTest(ContactTest):
     }
     summary = "the equilibrium of tension and pressure tells where the membrane leaves the object, also in noise."
     note = "By the membrane's equilibrium. Tolerance and Outliers are ignored."
-    near_words = "came near the object"
     smallest_field = "membrane.min_area_mm2"
     looser_words = "raise the largest gap"
     drop_reasons = {

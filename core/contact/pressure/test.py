@@ -70,7 +70,6 @@ class PressureTest(ContactTest):
     }
     summary = "the membrane is curved less than its inflation would curve it; gives force; one camera suffices."
     note = "By the curvature since the untouched frame. Its window follows from the noise, so small contacts look wide."
-    near_words = "carry a contact pressure"
     smallest_field = "pressure.min_area_mm2"
     looser_words = "lower the pressure limit"
     drop_reasons = {
