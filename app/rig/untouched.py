@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 from PyQt6.QtCore import QObject
 
-from ...core.errors import FrameError, PresetError, SourceError, counted
+from ...core.errors import SourceError, counted
 from ...core.model.frames import SensorFrame
-from ...core.preset import Preset, UntouchedRecord
-from ...core.rig.untouched import (
-    UNTOUCHED_FRAMES,
-    average_untouched,
-    load_untouched,
-)
+from ...core.preset import UntouchedRecord
+from ...core.rig.untouched import UNTOUCHED_FRAMES, average_untouched
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.messages import Severity
 from ..calibration.measuring_step import MeasuringStep
@@ -66,7 +60,7 @@ class UntouchedStep(MeasuringStep):
 
 
 class UntouchedKeeper(QObject):
-    """Owns the store of untouched frames, and reads that of the current preset on its own thread.
+    """Owns the store of untouched frames.
 
     A preset from a recording has no folder. Its untouched frame is copied from the recording to the store, and is
     saved from there.
@@ -74,25 +68,17 @@ class UntouchedKeeper(QObject):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._document, self._recorder = context.document, context.worker.recorder
+        self._document = context.document
         self._store = self._document.untouched_store = UntouchedStore(context.data_folder / "untouched")
         self._store.tidy()
         self._info: SourceInfo | None = None
-        self._key: object = None
+        self._copied: object = None
         self.job = Job(self)
-        self.job.done.connect(self._use)
         self._document.presetChanged.connect(self._look)
-        self._document.fileChanged.connect(self._look)
         self._document.warned.connect(
             lambda sentence: context.messages.show_message("untouched", Severity.WARNING, sentence)
         )
         context.worker.opened.connect(self._source_opened)
-        self._look()
-
-    @property
-    def frame(self) -> SensorFrame | None:
-        """The preset's untouched frame; None if there is none, if it cannot be read, or while it is being read."""
-        return self._recorder.untouched
 
     def _source_opened(self, info: SourceInfo) -> None:
         self._info = info
@@ -102,39 +88,15 @@ class UntouchedKeeper(QObject):
         self.job.stop()
 
     def _look(self) -> None:
-        preset, home = self._document.preset, self._document.untouched_home
-        key = (preset.untouched, home, self._info)
-        if key == self._key:
+        preset, info = self._document.preset, self._info
+        record = preset.untouched
+        if info is None or record is None or (record, info) == self._copied or self._document.untouched_home:
             return
-        self._key = key
-        self.job.cancel()  # its result would belong to another preset or source
-        if preset.untouched is not None:
-            self.job.start(partial(_read, preset.untouched, preset, home, self._info, self._store))
-        self._use(None)
+        self._copied = record, info
 
-    def _use(self, frame: SensorFrame | None) -> None:
-        self._recorder.untouched = frame
+        def copy(_: Progress) -> None:
+            found = info.kept_untouched(preset, None)
+            if found.frame is not None and not found.warnings:  # warnings are told where the frame is needed
+                self._store.keep(found.frame, record.frames)
 
-
-def _read(
-    record: UntouchedRecord,
-    preset: Preset,
-    home: Path | None,
-    info: SourceInfo | None,
-    store: UntouchedStore,
-    progress: Progress,
-) -> SensorFrame | None:
-    """Return the preset's untouched frame from its folder, else from the recording that contains both, else None."""
-    if home is not None:
-        with suppress(PresetError, FrameError):  # reported where the frame is needed
-            frame = load_untouched(record, home)
-            if info is not None:
-                frame.check_against(info.rig)
-            return frame
-    if info is None or info.preset is None or info.preset.untouched != record:
-        return None
-    found = info.find_untouched(preset, None, progress)
-    if found.frame is None or found.warnings:
-        return None
-    store.keep(found.frame, record.frames)
-    return found.frame
+        self.job.start(copy)

@@ -25,7 +25,6 @@ from ...widgets.images.point_image import PointImage
 from ..calibration.pictures import picture
 from ..context import SOURCE, Context
 from ..worker.jobs import Job
-from .untouched import UntouchedKeeper
 
 _KEY = "watch"
 _CHECKING = "Searching the points in the current frame…"
@@ -42,13 +41,12 @@ class WatchControl(QObject):
     def __init__(
         self,
         context: Context,
-        keeper: UntouchedKeeper,
         action: QAction,
         calibrate: Callable[[], None],
         capture: Callable[[], None],
     ) -> None:
         super().__init__(context)
-        self._context, self._keeper, self._action = context, keeper, action
+        self._context, self._action = context, action
         self._calibrate, self._capture = calibrate, capture
         self.window: DriftWindow | None = None
         #: What the first look at the untouched membrane found; None before it.
@@ -95,12 +93,12 @@ class WatchControl(QObject):
 
     def _look(self) -> None:
         """Look at the shown frame if that is due."""
-        result, untouched = self._context.result, self._keeper.frame
-        if result is None or result.patch is None or untouched is None or not self._action.isChecked():
+        result = self._context.result
+        if result is None or result.patch is None or self.job.busy or not self._action.isChecked():
             return  # without a patch, nothing tells what is touched
-        if self._keeper.job.busy or self.job.busy:
+        preset, rig, live, untouched = result.preset, result.source.rig, result.source.length is None, result.untouched
+        if preset.untouched is None or untouched is None:
             return
-        preset, rig, live = self._context.document.preset, result.source.rig, result.source.length is None
         # The other fields only decide what counts as touched; changing them must not forget earlier looks.
         key = (untouched, preset.alignment, preset.contact_test, result.source)
         if key != self._key:

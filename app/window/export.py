@@ -125,7 +125,7 @@ class Export(QObject):
 
     def _recording(self, result: Result, path: Path) -> Work:
         """Return the work that reads the frames between the marks from the file a second time."""
-        preset, untouched = self._context.document.preset, self._context.worker.recorder.untouched
+        preset, untouched = self._context.document.preset, result.untouched
         first, end = self._frames(result)
 
         def work(progress: Progress) -> str:

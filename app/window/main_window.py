@@ -122,7 +122,6 @@ class MainWindow(QMainWindow):
         self.untouched = UntouchedKeeper(self.context)
         self.watch = WatchControl(
             self.context,
-            self.untouched,
             self.actions_.watch_drift,
             calibrate=self.calibration.open_wizard,
             capture=self.actions_.capture_untouched.trigger,

@@ -5,15 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
 from ...core.contact import CONTACT_TESTS
-from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
-from ...core.rig.untouched import kept_untouched
 from ...core.tuning.advice.findings import Examiner, unusable_test
 from ...core.tuning.advice.proposal import Finding
 from ...core.warmup import is_compiled, warm_up_if_needed, warm_up_views
@@ -119,10 +116,7 @@ class StoredUntouched:
         """Return the frame, or None; who needs it says why it cannot be read."""
         key = info, preset.untouched, self.home
         if key != self._key:
-            self._key, self._frame = key, None
-            if info.at_rest is not None:
-                with suppress(TactuneError):
-                    self._frame = kept_untouched(preset, self.home, info.at_rest).frame
+            self._key, self._frame = key, info.kept_untouched(preset, self.home).frame
         return self._frame
 
     def forget(self) -> None:
@@ -132,8 +126,7 @@ class StoredUntouched:
 class Examination:
     """Examines results; for the worker's thread only."""
 
-    def __init__(self, untouched: StoredUntouched) -> None:
-        self._stored_untouched = untouched
+    def __init__(self) -> None:
         self._result: Result | None = None  # not examined yet
         self._examiner: Examiner | None = None
         self._info: SourceInfo | None = None
@@ -156,7 +149,7 @@ class Examination:
         """Return what is wrong with the newest result, and its preset; call it only when that is due."""
         result, self._result = self._result, None
         assert result is not None
-        untouched = self._stored_untouched(result.source, result.preset)
+        untouched = result.untouched
         if result.patch is None:
             unusable = unusable_test(result.preset, result.source.rig, untouched)
             return () if unusable is None else (unusable,), result.preset

@@ -119,7 +119,8 @@ class FrameProcessor:
         held: bool = False,
     ) -> Result:
         """Return the patch and what the window shows; of a frame that is ``held`` all is drawn, also while it plays."""
-        self._present.find(frame, preset, info.rig, self._stored_untouched(info, preset))
+        untouched = self._stored_untouched(info, preset)
+        self._present.find(frame, preset, info.rig, untouched)
         finders = self._find_compared(frame, info, compared)
         started = time.perf_counter()
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
@@ -150,6 +151,7 @@ class FrameProcessor:
             force_arrow_m=patch.force_arrow_m if patch is not None else None,
             rendered=rendered,
             playback=playback,
+            untouched=untouched,
             problem=self._present.problem,
             waiting=self._present.waiting,
             warnings=self._present.warnings,

@@ -22,14 +22,6 @@ class RecordingEnd:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class _Watcher:
-    """A listener that sees every frame."""
-
-    see: Callable[[SensorFrame], object]
-    failed: Callable[[str], object]
-
-
 class Recorder:
     """Writes at most one file at a time, from any thread; ``ended`` is called for each, on a thread of its own."""
 
@@ -41,9 +33,7 @@ class Recorder:
         self._lock = Lock()
         self._writer: SessionWriter | None = None
         self._refused = 0
-        self._watcher: _Watcher | None = None
-        #: The preset's untouched frame, which recordings store.
-        self.untouched: SensorFrame | None = None
+        self._watcher: tuple[Callable[[SensorFrame], object], Callable[[str], object]] | None = None
         self._finishing: list[Thread] = []
 
     @property
@@ -54,14 +44,15 @@ class Recorder:
         writer = self._writer
         return None if writer is None else self._with_refused(writer.status())
 
-    def start(self, path: Path, rig: Rig, preset: Preset, frame_rate_hz: float) -> None:
+    def start(
+        self, path: Path, rig: Rig, preset: Preset, frame_rate_hz: float, untouched: SensorFrame | None = None
+    ) -> None:
         """Start a file; does nothing while a recording runs. Raises `TactuneError` if it cannot be written."""
         with self._lock:
             if self._writer is not None:
                 return
-            options = {"preset": preset, "frame_rate_hz": frame_rate_hz, "untouched": self.untouched}
             try:
-                self._writer = self._open(path, rig, **options)
+                self._writer = self._open(path, rig, preset=preset, frame_rate_hz=frame_rate_hz, untouched=untouched)
                 self._refused = 0
             except OSError as error:
                 raise TactuneError(
@@ -70,7 +61,7 @@ class Recorder:
 
     def watch(self, see: Callable[[SensorFrame], object], failed: Callable[[str], object]) -> None:
         """Pass every frame to ``see`` too, on the thread that reads; if it raises, ``failed`` gets the reason."""
-        self._watcher = _Watcher(see, failed)
+        self._watcher = see, failed
 
     @property
     def watched(self) -> bool:
@@ -118,12 +109,13 @@ class Recorder:
         watcher = self._watcher
         if watcher is None:
             return
+        see, failed = watcher
         try:
-            watcher.see(frame)
+            see(frame)
         except Exception as error:  # the reading thread must continue
             if self._watcher is watcher:
                 self._watcher = None
-            watcher.failed(explain(error, f"frame {number} could not be used"))
+            failed(explain(error, f"frame {number} could not be used"))
 
     def _finish(self, writer: SessionWriter, reason: str) -> None:
         try:

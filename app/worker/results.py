@@ -15,7 +15,7 @@ from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.patch import Doubt, Provenance
 from ...core.preset import Preset
-from ...core.rig.untouched import FoundUntouched, find_untouched
+from ...core.rig.untouched import FoundUntouched, find_untouched, kept_untouched
 from ...core.sources.base import FrameSource, Health, Progress
 from ...widgets.images.strip_render import IMAGES, RenderedStrip
 from ..document.comparison import Side
@@ -140,6 +140,10 @@ class SourceInfo:
         """Return the untouched frame for a preset and its file, from any thread; measuring it may take long."""
         return FoundUntouched(None) if self.at_rest is None else find_untouched(preset, path, self.at_rest, progress)
 
+    def kept_untouched(self, preset: Preset, path: Path | None) -> FoundUntouched:
+        """Return the same, but measure nothing."""
+        return FoundUntouched(None) if self.at_rest is None else kept_untouched(preset, path, self.at_rest)
+
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
         """Return the facts about a source; an unusable preset becomes None."""
@@ -201,6 +205,7 @@ class Result:
     force_arrow_m: Float64Array | None  # as in `ContactPatch`
     rendered: Rendered
     playback: PlaybackState
+    untouched: SensorFrame | None = None  # that is kept with the preset or the source
     problem: str = ""
     waiting: str = ""  # what the newest preset waits for; meanwhile ``preset`` and ``patch`` are of the one before
     warnings: tuple[str, ...] = ()

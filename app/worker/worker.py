@@ -77,7 +77,7 @@ class Worker(QThread):
         self._untouched = StoredUntouched()
         self._compiler = BackgroundCompiler(lambda: self._orders.put(lambda: setattr(self, "_redo", True)))
         self._processor = FrameProcessor(self._compiler.missing, self._untouched)
-        self._examination = Examination(self._untouched)
+        self._examination = Examination()
         self._reader: FrameReader | None = None
         self._live: LiveReader | None = None
         self._state = SourceState()
@@ -320,7 +320,8 @@ class Worker(QThread):
             self.recordingFailed.emit(NOT_LIVE)
             return
         try:
-            self.recorder.start(path, self._info.rig, self._preset, self._info.frame_rate_hz)
+            untouched = self._untouched(self._info, self._preset)
+            self.recorder.start(path, self._info.rig, self._preset, self._info.frame_rate_hz, untouched)
         except Exception as error:
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return

@@ -115,7 +115,7 @@ def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source
                 frame = _checked(source.untouched(), preset.untouched, f"the untouched frame in {source.name}")
             frame.check_against(source.rig)
             return FoundUntouched(frame)
-        except (PresetError, FrameError) as error:
+        except (PresetError, SourceError, FrameError) as error:
             warnings = (f"the preset's own untouched frame is not used: {error}",)
     try:
         if (own := source.untouched()) is not None:

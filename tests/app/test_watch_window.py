@@ -50,7 +50,6 @@ def window(make_window, tmp_path, reference, qtbot):
     save_preset(preset, path)
     made = make_window()
     made.file_flows.open_preset(path)
-    qtbot.waitUntil(lambda: made.untouched.frame is not None)
     return made
 
 

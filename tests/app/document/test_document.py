@@ -219,6 +219,6 @@ def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qt
     window.open_source(f"mcap:{tmp_path / 'both.mcap'}")
     qtbot.waitUntil(lambda: window.messages.by_key.get("recorded preset") is not None)
     press(window.messages.by_key.get("recorded preset"), "Use them")
-    qtbot.waitUntil(lambda: window.untouched.frame is not None)
+    qtbot.waitUntil(lambda: window.document.untouched_home is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()

@@ -48,9 +48,8 @@ def test_the_next_frames_become_the_untouched_frame_as_one_step(qtbot, window):
     qtbot.waitUntil(lambda: at_rest(window, 3))  # where it stood before
     kept = load_untouched(record, window.document.untouched_home)
     assert np.array_equal(kept.tactile_depth, tiny_frame(3, window.result.source.rig).tactile_depth)
-    keeper = window.untouched
-    qtbot.waitUntil(lambda: keeper.frame is not None)
-    assert content_hash(keeper.frame) == record.sha256
+    qtbot.waitUntil(lambda: window.result.untouched is not None)
+    assert content_hash(window.result.untouched) == record.sha256
     QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
     qtbot.waitUntil(lambda: window.document.preset.untouched is None)
     window.document.undo_stack.redo()
