@@ -164,7 +164,7 @@ def suggestions() -> None:
         window.suggest.open("all")
         shown = window.suggest.window
         assert shown is not None
-        wait(lambda: not shown.busy, "suggestion")
+        wait(lambda: not shown.job.busy, "suggestion")
         settle()
         save(shown, "suggestions")
 
