@@ -9,6 +9,8 @@ likelihood of x = 0:
 
     2 s / b * F(d / s) * exp(d^2 / (2 s^2)), where F is the normal distribution function.
 
+The tolerance test lets every gap pass up to its limit. That widens b.
+
 Large errors of the boundary and other faults lower the odds. Where the proximity camera saw the membrane itself before,
 it sees a print or dirt, no object. Reasons for doubt are named in words.
 """
@@ -25,7 +27,7 @@ from ..model.clouds import pixel_areas_m2, valid_depth
 from ..model.frames import SensorFrame
 from ..model.patch import SURE, Boundary, Candidates, Doubt, DoubtOf, Lazy, MembraneFacts, PressureFacts
 from .membrane.equilibrium import LIMITS_PER_M
-from .membrane.frame_bias import RigBias, rig_bias
+from .membrane.frame_bias import rig_bias
 
 if TYPE_CHECKING:
     from ..preset import Preset
@@ -84,6 +86,7 @@ class DoubtEstimator:
                 reasons = (*reasons, "membrane deflated")
             if not len(contact):
                 return Doubt(0.0, math.nan, reasons)
+            odds += math.log(self._bias_odds(preset, facts, float(contact.points[:, 2].mean())))
             area_m2 = float(pixel_areas_m2(contact.points[:, 2], self._pixels.rig.proximity.intrinsics).sum())
             evidence = 0.0
             if self._pixels.untouched is not None:
@@ -112,12 +115,9 @@ class DoubtEstimator:
     def _whole_frame(
         self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None
     ) -> tuple[float, tuple[str, ...], float]:
-        """Return the logarithm of the odds before any dent is seen, reasons for doubt, and the boundary error, mm."""
+        """Return the logarithm of a factor on the odds, reasons for doubt, and the boundary error, mm."""
         reasons = []
-        known = rig_bias(preset.noise, self._pixels.rig)
-        sigma_m = math.hypot(known.mean_m, known.sigma_m) if facts is None else facts.bias_sigma_m
-        odds = _NEAR_M / (math.sqrt(math.pi / 2) * sigma_m) if preset.test.needs_proximity else _NO_BIAS_ODDS
-        if (facts is None or not facts.bias_seen) and (reason := self._wrong_bias(frame, preset, known)):
+        if (facts is None or not facts.bias_seen) and (reason := self._wrong_bias(frame, preset)):
             reasons.append(reason)
         wrong = ["cameras moved"] if self._cameras_moved else []
         if facts is not None and not LIMITS_PER_M[0] <= facts.curvature_per_m <= LIMITS_PER_M[1]:
@@ -132,7 +132,16 @@ class DoubtEstimator:
             wrong.append("more noise than measured")
         if boundary.unseen_share > _MANY_UNSEEN or self._lost_share(frame.tactile_depth) > _MANY_LOST:
             reasons.append("too little depth")
-        return math.log(odds * _WRONG_ODDS ** len(wrong)), (*reasons, *wrong), 1e3 * boundary.error_m
+        return len(wrong) * math.log(_WRONG_ODDS), (*reasons, *wrong), 1e3 * boundary.error_m
+
+    def _bias_odds(self, preset: Preset, facts: MembraneFacts | None, distance_m: float) -> float:
+        """Return the odds of a touch at a distance before any dent is seen."""
+        if not preset.test.needs_proximity:
+            return _NO_BIAS_ODDS
+        known = rig_bias(preset.noise, self._pixels.rig)
+        passing_m = math.sqrt(2 / math.pi) * preset.test.accepted_share(preset, distance_m) * distance_m
+        sigma_m = math.hypot(known.mean_m, known.sigma_m, passing_m) if facts is None else facts.bias_sigma_m
+        return _NEAR_M / (math.sqrt(math.pi / 2) * sigma_m)
 
     def _lost_share(self, tactile: Uint16Array) -> float:
         """Return the share of the untouched frame's tactile depth that is missing now."""
@@ -140,10 +149,11 @@ class DoubtEstimator:
         seen = np.empty(0, np.bool_) if before is None else valid_depth(before.tactile_depth[_GRID])
         return float(np.mean(~valid_depth(tactile[_GRID])[seen])) if seen.any() else 0.0
 
-    def _wrong_bias(self, frame: SensorFrame, preset: Preset, known: RigBias) -> str:
+    def _wrong_bias(self, frame: SensorFrame, preset: Preset) -> str:
         """Return what is wrong with the bias that is known before a frame is seen, in words; empty if nothing is."""
         if not preset.test.needs_proximity:
             return ""
+        known = rig_bias(preset.noise, self._pixels.rig)
         if not known.measured:
             return "bias unknown"
         if preset.contact_test == "membrane" and preset.membrane.bias:

@@ -138,6 +138,17 @@ def test_a_measured_bias_that_the_contact_test_does_not_correct_is_a_reason_for_
     assert "bias not corrected" in ContactPipeline(tolerance, touch.rig).process(touch.read(0)).doubt.reasons
 
 
+def test_what_the_tolerance_lets_pass_is_sure_only_where_it_dents_the_membrane(rig):
+    preset, untouched, touch, hover = rig
+    noise = preset.noise.model_copy(update={"bias_m": 0.0, "bias_sigma_m": 0.0, "bias_from": "contact"})
+    tolerance = preset.with_value("contact_test", "tolerance").with_value("tolerance.t", 0.03)
+    sure = [
+        ContactPipeline(tolerance.model_copy(update={"noise": noise}), source.rig, before).process(source.read(0)).doubt
+        for source, before in ((touch, untouched), (touch, None), (hover, untouched), (hover, None))
+    ]
+    assert [doubt.touch_probability > SURE for doubt in sure] == [True, False, False, False]
+
+
 def test_a_hole_in_an_eighth_of_the_contact_is_said(rig):
     preset, untouched, touch, _ = rig
     frame = touch.read(0)
