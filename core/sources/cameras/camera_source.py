@@ -9,6 +9,8 @@ from functools import partial
 from threading import Condition
 from typing import Final
 
+import numpy as np
+
 from ...errors import SourceError
 from ...model.frames import Rig, SensorFrame, Shot
 from ...preset import CamerasSection
@@ -150,8 +152,10 @@ class CameraSource(FrameSource):
         cameras = tuple(feed.health() for feed in self._feeds.values())
         stale = time.monotonic() - self._last_frame_s > max(feed.silent_s for feed in self._feeds.values())
         ok, said = all(camera.state == "streaming" for camera in cameras), [camera.message for camera in cameras]
-        if ok and stale and len(self._latest_s) == 2:
-            ok, apart_s = False, abs(self._latest_s["proximity"] - self._latest_s["tactile"])
+        with self._changed:
+            apart_s = float(np.ptp(list(self._latest_s.values()) or [0.0]))
+        if ok and stale and apart_s > _PATIENCE_S / 2:  # else frames are late, or nobody reads them
+            ok = False
             said.append(
                 f"Both cameras send images, but their time stamps are {apart_s:.3g} s apart, so none belong together: "
                 "set the clocks of the computers or drivers that stamp them."
