@@ -328,6 +328,9 @@ def test_only_images_half_a_period_apart_by_their_own_stamps_are_a_frame(tmp_pat
     stopped = depth(TOUCH, "b_optical", 390, stamps_s=(0.0, 0.1))
     with open_source(str(make_recording(tmp_path / "stopped", [near, stopped]))) as source:
         assert source.length == 2 and source.health().unmatched == 2
+    ahead = depth(TOUCH, "b_optical", 390, stamps_s=(60.1, 60.2))
+    with pytest.raises(SourceError, match=r"about 60 s apart; record both at once"):
+        open_source(str(make_recording(tmp_path / "ahead", [near, ahead])))
 
 
 def rvl(image):
