@@ -68,9 +68,11 @@ class Light:
         """Return an image in the light of the untouched frame; the image itself if the light is about the same."""
         if math.isnan(self.share) or image.size == 0 or len(self._places) == 0:
             return image
-        if self._last[0] is not image:
-            self._last = image, self._relit(image)
-        return self._last[1]
+        before, relit = self._last
+        if before is not image:
+            relit = self._relit(image)
+            self._last = image, relit  # another thread may ask for another image meanwhile
+        return relit
 
     def _relit(self, image: Uint8Array) -> Uint8Array:
         ratios = np.median(image.reshape(-1, 3)[self._places] / self._colors, axis=0)

@@ -158,7 +158,7 @@ class Pixels:
         """Return the flat pixels whose depths agree within a tolerance, whatever their colour; for any thread."""
         count, height = frame.proximity_depth.size, frame.proximity_depth.shape[0]
         out = kernels.CandidateArrays(np.empty(count, np.intp), np.empty(3 * count, np.float32), np.empty(1, np.int64))
-        color = self.color_test(frame)._replace(hsv=_NO_LIMITS)
+        color = kernels.ColorTest(self._lookup, kernels.flat(frame.proximity_color, 3 * LANES), _NO_LIMITS)
         tiles, _ = self.coarse.every_tile
         kernels.find_candidates(depth_images(frame), self.test(tolerance), color, tiles, out, 0, height)
         return np.asarray(out.pixels[: int(out.counts[0])])
