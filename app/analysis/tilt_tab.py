@@ -86,14 +86,8 @@ class TiltTab(LiveTab):
         self._show_none()
 
     def work(self, result: Result) -> Work:
-
-        def estimate(_: object) -> Tilt | None:
-            if result.patch is None:
-                return None
-            estimator = TiltEstimator(result.preset, result.source.rig)
-            return estimator.estimate(result.patch)
-
-        return estimate
+        patch, rig = result.patch, result.source.rig
+        return lambda _: None if patch is None else TiltEstimator(result.preset, rig).estimate(patch)
 
     def show_found(self, result: Result, found: Any) -> Row | None:
         if found is None or result.patch is None:

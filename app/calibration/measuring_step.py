@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -91,6 +91,11 @@ class MeasuringStep(QWidget):
     def changes(self) -> dict[str, Any]:
         """Return the preset fields that the result changes, and their new values."""
         raise NotImplementedError
+
+    def untouched_of(self, info: SourceInfo) -> Callable[[Progress], SensorFrame | None]:
+        """Return the work that finds the preset's untouched frame, or the source's."""
+        preset, home = self._document.preset, self._document.untouched_home
+        return lambda progress: info.find_untouched(preset, home, progress).frame
 
     def at_hand(self) -> list[Any]:
         """Return what is worked on at once, without taking frames; empty if frames are to be taken."""

@@ -51,13 +51,10 @@ class NoiseStep(MeasuringStep):
         super().__init__(context, push_button("&Measure noise", tip))
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        count, preset, home = self.wanted, self._document.preset, self._document.untouched_home
-
-        def measure(progress: Progress) -> RigNoise:
-            untouched = info.find_untouched(preset, home, part_of(progress, 0, 2)).frame
-            return measure_noise(kept[:count], info.rig, preset, untouched, part_of(progress, 1, 2))
-
-        return measure
+        count, preset, untouched = self.wanted, self._document.preset, self.untouched_of(info)
+        return lambda progress: measure_noise(
+            kept[:count], info.rig, preset, untouched(part_of(progress, 0, 2)), part_of(progress, 1, 2)
+        )
 
     def show_found(self, found: RigNoise) -> None:
         self.sentence.setText(" ".join(describe(found)))
@@ -135,8 +132,7 @@ class PressStep(MeasuringStep):
         return [*self._press]
 
     def prepare(self, info: SourceInfo) -> Work:
-        preset, home = self._document.preset, self._document.untouched_home
-        return lambda progress: info.find_untouched(preset, home, progress).frame
+        return self.untouched_of(info)
 
     def prepared(self, found: SensorFrame | None) -> None:
         assert self.info is not None
@@ -246,14 +242,10 @@ class SuggestStep(PressStep):
         super().__init__(context, press, push_button("&Suggest", tip))
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
-        preset, home = self._document.preset, self._document.untouched_home
-
-        def suggest(progress: Progress) -> AllProposals:
-            untouched = info.find_untouched(preset, home, part_of(progress, 0, 2)).frame
-            evidence = Evidence(preset, info.rig, pressed[-_RECENT:], untouched)
-            return suggest_all(evidence, part_of(progress, 1, 2))
-
-        return suggest
+        preset, untouched = self._document.preset, self.untouched_of(info)
+        return lambda progress: suggest_all(
+            Evidence(preset, info.rig, pressed[-_RECENT:], untouched(part_of(progress, 0, 2))), part_of(progress, 1, 2)
+        )
 
     def show_found(self, found: AllProposals) -> None:
         taken = [part.label for part in found.parts if part.changes]
@@ -271,10 +263,8 @@ class VerdictStep(PressStep):
         super().__init__(context, press, push_button("&Judge", tip))
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
-        preset, home = self._document.preset, self._document.untouched_home
-        return lambda progress: judge_rig(
-            preset, info.rig, pressed[-1], info.find_untouched(preset, home, progress).frame
-        )
+        preset, untouched = self._document.preset, self.untouched_of(info)
+        return lambda progress: judge_rig(preset, info.rig, pressed[-1], untouched(progress))
 
     def show_found(self, found: Verdict) -> None:
         self.sentence.setText(found.sentence)

@@ -54,10 +54,11 @@ class CamerasPage(SourcePage):
         self._has_searched = False
         self.list = RecordTable(_COLUMNS, "Connected cameras", "The cameras that are connected now")
         self.empty = Notice(self.list)
-        self.proximity = _combo(
-            "Proximity camera", "Looks through the membrane at the object: the L515 (infrared, time of flight)"
+        through = "Looks through the membrane at the object: the L515 (infrared, time of flight)"
+        self.proximity = named(QComboBox(), "Proximity camera", through)
+        self.tactile = named(
+            QComboBox(), "Tactile camera", "Sees the membrane itself: the D405 (visible light, stereo)"
         )
-        self.tactile = _combo("Tactile camera", "Sees the membrane itself: the D405 (visible light, stereo)")
         self.refresh = push_button("Re&fresh", "Search for cameras again (F5)", shortcut="F5")
         self.topics = push_button("Open &ROS 2 topics", f"Open {_ROS2}, the cameras whose ROS 2 drivers publish now")
         form = QFormLayout()
@@ -145,9 +146,3 @@ class CamerasPage(SourcePage):
         said = problem or ("A rig with a tactile camera only." if alone else f"{len(self._found)} cameras were found.")
         name = f"{CAMERAS}{'' if alone else first},{second}" if first and second else CAMERAS
         self._choose("" if problem else name, f"{said} {as_sentence(self._hint)}" if self._hint else said)
-
-
-def _combo(name: str, tip: str) -> QComboBox:
-    combo = named(QComboBox(), name, tip)
-    combo.addItem(_ANY, "")
-    return combo

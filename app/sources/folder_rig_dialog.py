@@ -37,7 +37,7 @@ class FolderRigDialog(QDialog):
         self.found: FolderRig | None = None
         self._job = Job(self)
         self._job.done.connect(self._show)
-        self._job.failed.connect(self._refuse)
+        self._job.failed.connect(lambda sentence: self._refuse(sentence) if sentence else None)
         grid = QGridLayout()
         two = {"proximity_depth", "tactile_depth"} <= set(slots)  # else the only depth is the tactile camera's
         roles = ["proximity", "tactile", "color"] if two and "proximity_color" in slots else list(_LENSES)[not two : 2]
@@ -96,13 +96,10 @@ class FolderRigDialog(QDialog):
         self._open.setEnabled(False)
         options = {role: field.text().strip() or None for role, field in self.lenses.items()}
         unit = self.unit.currentText().strip() or None
-        self._asked = options, unit
-        self._job.start(lambda progress: ((options, unit), rig_from_folder(self._folder, options, unit)))
+        self._job.cancel()  # of what was typed before
+        self._job.start(lambda _: rig_from_folder(self._folder, options, unit))
 
-    def _show(self, answer: tuple[tuple[dict[str, str | None], str | None], FolderRig]) -> None:
-        asked, found = answer
-        if asked != self._asked:  # more was typed meanwhile
-            return
+    def _show(self, found: FolderRig) -> None:
         self.found = found
         self._open.setEnabled(True)
         self.note.say("")
