@@ -41,9 +41,11 @@ def test_a_touch_that_dents_the_membrane_is_sure_and_one_that_does_not_is_doubte
     assert doubt.reasons == ()
     assert 0 < doubt.boundary_error_mm < 10
     same = replace(untouched, tactile_depth=frame.tactile_depth)
-    still = ContactPipeline(preset, touch.rig, same).process(frame).doubt
-    assert still.touch_probability < SURE
-    assert still.reasons == ("no dent",)
+    still = ContactPipeline(preset, touch.rig, same).process(frame)
+    assert still.doubt.touch_probability < SURE
+    assert still.doubt.reasons == ("no dent",)
+    # bias and dent are known equally well, so a gap of 0 is as likely as a dent of 0
+    assert still.contacts[0].doubt.touch_probability == pytest.approx(0.5, abs=0.06)
 
 
 def test_a_wide_largest_gap_widens_the_error_is_found_and_mended(rig):
