@@ -72,7 +72,7 @@ class Recorder:
 
     def put(self, frame: SensorFrame, number: int | None = None) -> None:
         """Record a frame if a recording runs; one that does not fit its rig counts as dropped."""
-        number = frame.sequence + 1 if number is None else number
+        number = frame.sequence if number is None else number
         self._show(frame, number)
         if self._writer is None:
             return

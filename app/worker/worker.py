@@ -341,7 +341,7 @@ class Worker(QThread):
         index = self._playback.next_index()
         self._redo |= index is None  # the last frame stays, so all of it is drawn
         if index is not None and (frame := self._show(index)) is not None:
-            self.recorder.put(frame, index + 1)
+            self.recorder.put(frame, index)
 
     def _show(self, index: int) -> SensorFrame | None:
         """Read frame ``index`` of a recording, process and post it; return it."""

@@ -186,7 +186,7 @@ def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tm
     assert not recorder.running
     made[0].may_close.set()
     recorder.close()
-    assert ends[0].reason == "Frame 2 could not be recorded (RuntimeError: broken)."
+    assert ends[0].reason == "Frame 1 could not be recorded (RuntimeError: broken)."
     assert ends[0].status.frames == 1
 
 
@@ -203,7 +203,7 @@ def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(rec
     for index in range(3):
         recorder.put(frame(index))
     assert seen == [0, 1]
-    assert told == ["Frame 2 could not be used (RuntimeError: broken)."]
+    assert told == ["Frame 1 could not be used (RuntimeError: broken)."]
     made[0].may_close.set()
     recorder.stop("")
     recorder.close()
