@@ -62,7 +62,7 @@ class Animation(QObject):
                     write(temporary, self._filmed(chosen, progress), rate_hz / step)
             finally:
                 self._ended.emit()
-            return f"Frames {chosen[0] + 1} to {chosen[-1] + 1} ({len(chosen)}) written to {path}."
+            return f"Frames {chosen[0]} to {chosen[-1]} ({len(chosen)}) written to {path}."
 
         return work
 

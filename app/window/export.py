@@ -139,6 +139,6 @@ class Export(QObject):
                     )
                 else:
                     count = share_mcap(source, path, end - first, preset, untouched, progress=progress)
-            return f"Frames {first + 1} to {end} ({count}) written to {path}."
+            return f"Frames {first} to {end - 1} ({count}) written to {path}."
 
         return work

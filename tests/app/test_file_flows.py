@@ -70,7 +70,8 @@ def test_an_animation_shows_the_views_of_the_marked_frames(window, qtbot, tmp_pa
     path = tmp_path / f"views{suffix}"
     QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
     type_path(qtbot, path)
-    qtbot.waitUntil(lambda: any(str(path) in sentence for sentence in window.messages.sentences()))
+    frames = "1 to 1 (1)" if suffix == ".gif" else "1 to 3 (3)"
+    qtbot.waitUntil(lambda: f"Frames {frames} written to {path}." in window.messages.sentences())
     qtbot.waitUntil(lambda: at_rest(window, 4))
     if suffix == ".gif":
         with Image.open(path) as shown:

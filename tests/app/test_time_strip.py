@@ -120,7 +120,7 @@ def test_an_export_has_exactly_the_marked_frames(window, qtbot, tmp_path, scene)
     QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
     type_path(qtbot, tmp_path / "part.mcap")
     qtbot.waitUntil(lambda: window.messages.by_key.get("export") is not None)
-    assert "Frames 7 to 11 (5) written to" in window.messages.by_key["export"].sentence
+    assert "Frames 6 to 10 (5) written to" in window.messages.by_key["export"].sentence
     with McapSource(tmp_path / "part.mcap") as written:
         assert [frame.sequence for frame in written] == [6, 7, 8, 9, 10]
 
