@@ -532,6 +532,7 @@ class MainWindow(QMainWindow):
         event.accept()
 
     def shut_down(self) -> None:
+        self.context.blockSignals(True)  # a frame that is on its way starts nothing
         showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.set_up)
         for part in (
             *showing,

@@ -95,6 +95,13 @@ def test_a_moved_camera_is_told_and_its_buttons_mend_and_show_it(window, moving,
     shown.close()
 
 
+def test_a_frame_that_comes_as_the_window_closes_starts_no_look(window, moving, reference):
+    window.close_without_asking()
+    window.context.result = replace(window.result, untouched=replace(reference))
+    window.context.frameShown.emit()
+    assert not window.watch.job.busy
+
+
 def test_it_is_switched_off_and_stays_off(window, moving, make_window, qtbot):
     action = window.actions_.watch_drift
     assert action.isChecked()
