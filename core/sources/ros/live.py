@@ -136,6 +136,8 @@ _OPENING_S: Final = 2.5
 _TIMED: Final = 8
 #: How long a depth image waits for its colour, seconds.
 _PATIENCE_S: Final = 0.15
+#: Where the stamp of a message ends, in CDR.
+_STAMP_END: Final = 12
 
 
 def open_in_process(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
@@ -255,27 +257,27 @@ class _Message(NamedTuple):
 class _Receiver:
     """Receives the images of a topic."""
 
-    def __init__(self, listener: Listener, stream: Stream, types: Mapping[str, str]) -> None:
-        self.stream, self._kind = stream, types[stream.topic.name]
+    def __init__(self, listener: Listener, stream: Stream, types: Mapping[str, str], camera: str) -> None:
+        self.stream, self._kind, self._camera = stream, types[stream.topic.name], camera
         self.reader = listener.read(stream.topic.name, self._kind)
         self.waiting: deque[_Message] = deque()
         self._infos = listener.read(stream.info, CAMERA_INFO) if stream.info else None
+        self._known_lens = b""
 
-    def check_lens(self) -> None:
-        """Refuse another lens than the one that was found: a driver may come back with another camera."""
+    def take(self) -> None:
+        """Add the images that have come to those that wait; refuse another lens, of a camera that was exchanged."""
         topic = self.stream.topic
         for data in [] if self._infos is None else self._infos.take():
+            if data[_STAMP_END:] == self._known_lens:
+                continue
             info = TYPES.deserialize_cdr(data, CAMERA_INFO)
             try:
                 lens = camera_info_lens(info, is_rectified=topic.is_rectified)
             except SourceError as error:
                 raise SourceError(f"{topic.name}: {error}") from error
             if lens is not None and lens.intrinsics != self.stream.lens.intrinsics:
-                raise SourceError(f"the images on {topic.name} have another lens than before: open the topics again")
-        self._infos = None
-
-    def take(self) -> None:
-        """Add the images that have come to those that wait."""
+                raise SourceError(f"the {self._camera} has another lens than before: open the topics again")
+            self._known_lens = data[_STAMP_END:]
         for data in self.reader.take():
             self.waiting.append(_Message(1e-9 * stamp_ns(data), time.monotonic(), data))
 
@@ -289,9 +291,10 @@ class Ros2Camera(Camera):
 
     def __init__(self, listener: Listener, info: DeviceInfo, role: CameraRole, found: Found) -> None:
         stated = found.rig.cameras[role]
-        self._depth = _Receiver(listener, stated.depth, found.types)
-        self._color = None if stated.color is None else _Receiver(listener, stated.color, found.types)
-        self._waiter = Waiter(listener, [stream.reader for stream in (self._depth, self._color) if stream is not None])
+        self._depth = _Receiver(listener, stated.depth, found.types, info.title)
+        self._color = None if stated.color is None else _Receiver(listener, stated.color, found.types, info.title)
+        self._streams = [stream for stream in (self._depth, self._color) if stream is not None]
+        self._waiter = Waiter(listener, [stream.reader for stream in self._streams])
         self._number, self._last_s = 0, 0.0
         super().__init__(info, role, stated.calibration, self._wait_for_rate_hz(info))
 
@@ -301,7 +304,7 @@ class Ros2Camera(Camera):
         end_s = time.monotonic() + _OPENING_S
         while len(depth.waiting) < _TIMED:
             self._waiter.wait(0.05)
-            depth.take()
+            self._take()
             if time.monotonic() > end_s:
                 if not depth.reader.entity.get_matched_publications():
                     raise SourceError(f"nobody publishes {name}; start the camera's ROS 2 driver")
@@ -311,8 +314,9 @@ class Ros2Camera(Camera):
         stamps_s = np.array([message.stamp_s for message in depth.waiting])
         if not stamps_s.any():
             raise SourceError(f"the images on {name} have no time stamps in their headers")
-        for stream in filter(None, (self._depth, self._color)):
-            stream.check_lens()
+        for stream in self._streams:
+            if stream.waiting:
+                stream.pixels(stream.waiting[-1])  # what cannot be read is told before the camera counts as open
         depth.waiting.clear()
         return round(1 / period_s(stamps_s), 1)
 
@@ -320,8 +324,7 @@ class Ros2Camera(Camera):
         """Return the next depth image with its colour; None if none is complete in time."""
         if not self._is_complete():
             self._waiter.wait(timeout_s)
-            for stream in filter(None, (self._depth, self._color)):
-                stream.take()
+            self._take()
         if not self._is_complete():
             return None
         message = self._depth.waiting.popleft()
@@ -329,6 +332,10 @@ class Ros2Camera(Camera):
         self._number += max(1, round((message.stamp_s - self._last_s) * self.rate_hz)) if self._number else 1
         self._last_s = message.stamp_s
         return Images(self._number, self._depth.pixels(message), color, message.stamp_s)
+
+    def _take(self) -> None:
+        for stream in self._streams:
+            stream.take()
 
     def _is_complete(self) -> bool:
         """Whether the oldest depth image waits for nothing, since no colour nearer to it can come."""
