@@ -16,7 +16,7 @@ from typing import Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from ..errors import ExportError, TactuneError
+from ..errors import ExportError, TactuneError, counted
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers, taken, user_path
 from ..model.frames import Rig, SensorFrame
@@ -119,6 +119,11 @@ class BagWriter:
     def size(self) -> int:
         return self._output.size
 
+    @property
+    def kept(self) -> str:
+        """What a file that cannot go on holds, for the end of a sentence."""
+        return f"; the file holds the {counted(self._chunks, 'frame')} before" if self._chunks else ""
+
     def write(self, sequence: int, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Write messages compressed together, with their index; the operating system has them when this returns."""
         try:
@@ -201,11 +206,20 @@ class PatchWriter:
         if pose is not None:
             parts |= pose_parts(*pose, stamp_ns)
         messages: list[Message] = [(topic, stamp_ns, (data,)) for topic, data in parts.items()]
-        self._bag.write(patch.sequence, self._clock.tick(stamp_ns), messages)
+        with self._kept_told():
+            self._bag.write(patch.sequence, self._clock.tick(stamp_ns), messages)
 
     def close(self) -> None:
         """Finish the file, or remove one without a patch."""
-        self._bag.close()
+        with self._kept_told():
+            self._bag.close()
+
+    @contextmanager
+    def _kept_told(self) -> Iterator[None]:
+        try:
+            yield
+        except ExportError as error:
+            raise ExportError(f"{error}{self._bag.kept}") from error
 
     def __enter__(self) -> Self:
         return self

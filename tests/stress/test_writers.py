@@ -122,5 +122,7 @@ def test_a_full_disk_is_said_and_nothing_is_lost(name, tmp_path, start, qapp):
         if error and not kind.grows:
             assert before.items() <= after.items(), f"{limit} bytes"
             assert not any(left.startswith(".") for left in after), f"{limit} bytes"
+        if error and name == "patches":
+            assert ("; the file holds the " in error) == (len(after) > len(before))
         before = visible(tmp_path)
     assert refused or kind.silent
