@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -252,8 +253,17 @@ def _parse(text: str, suffix: str) -> Any:
         if opened.max(initial=0) > _MAX_NESTING:
             raise ValueError(f"it has more than {_MAX_NESTING} brackets in brackets")
         first = re.split(r"(?m)^---.*$", text.removeprefix("---"))[0]
-        return YAML(typ="safe", pure=True).load(io.StringIO(first))
+        loaded = YAML(typ="safe", pure=True).load(io.StringIO(first))
+        if len(list(islice(_values(loaded), len(text)))) == len(text) > 0:
+            raise ValueError("its aliases stand for more values than it has letters")
+        return loaded
     return _of_text(text)
+
+
+def _values(part: Any) -> Iterator[Any]:
+    for each in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield each
+        yield from _values(each)
 
 
 def _of_xml(text: str) -> _Fields:

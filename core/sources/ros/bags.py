@@ -307,9 +307,11 @@ def _names_in(metadata: Path) -> list[str] | None:
     """Return the files that metadata name; None where a recorder that was killed wrote none, or a part."""
     try:
         text = read_file(metadata, _MAX_METADATA_BYTES).decode("utf-8")
-        return list(map(str, YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]))
+        names = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
     except (OSError, ValueError, YAMLError, LookupError, TypeError):
         return None
+    are_names = isinstance(names, list) and all(isinstance(name, str) and name.endswith(BAG_ENDINGS) for name in names)
+    return names if are_names else None
 
 
 def _number(path: Path) -> tuple[int, str]:

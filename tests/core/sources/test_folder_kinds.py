@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -396,6 +397,7 @@ def test_a_camchain_of_both_cameras_gives_their_pose(plain):
             rig_from_folder(plain, {"proximity": option, "tactile": LENS, "color": None}, "mm")
 
 
+BOMB = "a: &a [1]\n" + "".join(f"{n}: &{n} [*{m}, *{m}]\n" for m, n in pairwise("abcdefghijklm")) + "K: *m\n"
 BAD_LENSES = {
     "omni.yaml": (KALIBR.replace("camera_model: pinhole", "camera_model: omni", 1).format("radtan"), "'omni'"),
     "fov.yaml": (KALIBR.format("fov"), "'fov' with 4 coefficients"),
@@ -409,6 +411,7 @@ BAD_LENSES = {
     "broken.yaml": ("a: [1, 2\nb: }", "is no file of a lens"),
     "broken.xml": ("<opencv_storage><camera", "is no file of a lens"),
     "deep.yaml": ("[" * 5000, "is no file of a lens"),
+    "bomb.yaml": (BOMB, "aliases stand for"),
     "wide.yaml": (ros("plumb_bob", *BROWN).replace("30, 0", "3000, 0"), "fx is 3000 px"),
     "nan.yaml": (ros("plumb_bob", float("nan"), 0, 0, 0, 0), "not finite|no file"),
 }

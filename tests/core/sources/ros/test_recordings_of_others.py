@@ -31,7 +31,11 @@ def file_in(folder):
 def with_half_metadata(folder):
     """As a recorder that was killed leaves it."""
     text = (folder / "metadata.yaml").read_text()
-    (folder / "metadata.yaml").write_text(text[: text.index("relative_file_paths")])
+    return with_names(folder, "", text[: text.index("relative_file_paths")])
+
+
+def with_names(folder, names, before="rosbag2_bagfile_information:\n  relative_file_paths: "):
+    (folder / "metadata.yaml").write_text(before + names)
     return folder
 
 
@@ -42,6 +46,8 @@ def with_half_metadata(folder):
         ("mcap", file_in),
         ("mcap", lambda path: path / "metadata.yaml"),
         ("mcap", with_half_metadata),
+        ("mcap", lambda path: with_names(path, "[[a], [b]]")),
+        ("mcap", lambda path: with_names(path, "[metadata.yaml]")),
         ("sqlite", lambda path: path),
         ("sqlite", file_in),
         ("messages", lambda path: path),
