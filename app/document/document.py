@@ -132,7 +132,7 @@ class Document(QObject):
         self.untouched_store: UntouchedStore | None = None
         self.undo_stack = self._history.undo_stack
         self.undo_stack.setUndoLimit(1000)
-        self.undo_stack.cleanChanged.connect(self._clean_changed)  # a lambda would outlive this object
+        self.undo_stack.cleanChanged.connect(self.fileChanged)
         self._history.changed.connect(self.presetChanged)
 
     @property
@@ -231,9 +231,6 @@ class Document(QObject):
     def _set_baseline(self, preset: Preset) -> None:
         self._baseline = preset
         self.baselineChanged.emit(preset)
-        self.fileChanged.emit()
-
-    def _clean_changed(self, _: bool) -> None:
         self.fileChanged.emit()
 
 

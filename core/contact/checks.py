@@ -27,10 +27,6 @@ def homography_notes(preset: Preset) -> list[str]:
     return [f"Preset {preset.name!r} {note}"] if note and preset.alignment.model == "homography" else []
 
 
-def _same_camera(made_for: DepthCamera, found: DepthCamera) -> bool:
-    return made_for.serial == found.serial or not (made_for.serial and found.serial)
-
-
 def _lens_difference(made_for: Intrinsics, found: Intrinsics) -> str:
     """Return the first field that differs by more than another driver's rounding, with both values; empty for none."""
     for field in Intrinsics.model_fields:
@@ -61,11 +57,13 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
                     f"preset {preset.name!r} was made for {role} images of {_size(before)} pixels, this {role} camera "
                     f"gives {_size(now)}; choose a preset of this rig or calibrate a new one"
                 )
-            same = _same_camera(before, now), before.depth_unit_m == now.depth_unit_m
+            same_camera = before.serial == now.serial or not (before.serial and now.serial)
             differences = (
-                "" if same[0] else f"serial number {before.serial}, here {now.serial}",
+                "" if same_camera else f"serial number {before.serial}, here {now.serial}",
                 _lens_difference(before.intrinsics, now.intrinsics),
-                "" if same[1] else f"depth unit {before.depth_unit_m:g} m, here {now.depth_unit_m:g} m",
+                ""
+                if before.depth_unit_m == now.depth_unit_m
+                else f"depth unit {before.depth_unit_m:g} m, here {now.depth_unit_m:g} m",
             )
             if any(differences):
                 words = "; ".join(filter(None, differences))

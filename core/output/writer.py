@@ -78,7 +78,7 @@ class BagWriter:
         attachments: Mapping[str, bytes] | None = None,
     ) -> None:
         self.path = user_path(path)
-        self._chunks = 0
+        self.chunks = 0
         self._is_cut_off = False
         with self._refusals():
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -119,11 +119,6 @@ class BagWriter:
     def size(self) -> int:
         return self._output.size
 
-    @property
-    def kept(self) -> str:
-        """What a file that cannot go on holds, for the end of a sentence."""
-        return f"; the file holds the {counted(self._chunks, 'frame')} before" if self._chunks else ""
-
     def write(self, sequence: int, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Write messages compressed together, with their index; the operating system has them when this returns."""
         try:
@@ -135,7 +130,7 @@ class BagWriter:
         except ExportError:
             self._is_cut_off = True
             raise
-        self._chunks += 1
+        self.chunks += 1
 
     def sync(self) -> None:
         with self._refusals():
@@ -145,7 +140,7 @@ class BagWriter:
         """Write the summary, by which readers seek, or remove a file without messages; twice is harmless."""
         if self._file.closed:
             return
-        if self._chunks == 0:
+        if self.chunks == 0:
             self._discard()
             return
         try:
@@ -219,7 +214,8 @@ class PatchWriter:
         try:
             yield
         except ExportError as error:
-            raise ExportError(f"{error}{self._bag.kept}") from error
+            kept = f"; the file holds the {counted(self._bag.chunks, 'frame')} before" if self._bag.chunks else ""
+            raise ExportError(f"{error}{kept}") from error
 
     def __enter__(self) -> Self:
         return self
