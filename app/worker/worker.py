@@ -67,7 +67,9 @@ class Worker(QThread):
         super().__init__(parent)
         self.recorder = Recorder(self.recordingEnded.emit)
         self._orders: SimpleQueue[Callable[[], object]] = SimpleQueue()
-        self._mailbox: Mailbox[Result] = Mailbox(lambda old, new: old.frame is new.frame)
+        self._mailbox: Mailbox[Result] = Mailbox(
+            lambda old, new: old.frame is new.frame or old.source is not new.source
+        )
         self._request: SourceRequest | None = None
         self._stopping = False
         self._playback = Playback()

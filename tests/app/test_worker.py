@@ -127,8 +127,18 @@ def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, pr
     qtbot.waitUntil(enough)
     assert len(taken) < taken[-1].processed
     assert taken[-1].processed - taken[-1].dropped >= len(taken) - 1
-    worker.open(SourceRequest("still", lambda progress: FakeSource(length=1)))
-    qtbot.waitUntil(lambda: (newest := worker.take()) is not None and (newest.source.length, newest.dropped) == (1, 0))
+    replaced = worker._mailbox.dropped
+    qtbot.waitUntil(lambda: worker._mailbox.dropped > replaced)  # so a result waits when the next source opens
+    worker.open(SourceRequest("still", lambda progress: FakeSource(length=2)))
+    worker.pause()
+    for index in range(2):
+        worker.seek(index)
+        qtbot.waitUntil(
+            lambda index=index: (
+                (newest := worker.take()) is not None
+                and (newest.source.length, newest.playback.index, newest.dropped) == (2, index, 0)
+            )
+        )
     worker.shut_down()
 
 
