@@ -92,8 +92,8 @@ class RecordedSource(SeekableSource):
             raise SourceError(
                 f"{name}: no depth image of {first.calibration.depth.model} has one of "
                 f"{second.calibration.depth.model} within {farthest_s * 1e3:.1f} ms by their stamps, which are about "
-                f"{apart_s:.3g} s apart; record both at once with their clocks set, or shift one's stamps if only the "
-                "clocks differ"
+                f"{apart_s:.3g} s apart; choose recordings of the same time, or shift one's stamps if only the clocks "
+                "differ"
             )
 
     @property
