@@ -93,9 +93,10 @@ def test_a_check_tells_a_good_calibration_from_a_moved_camera(frames, rig, prese
 def test_the_median_leaves_out_what_is_no_depth():
     rng = np.random.default_rng(0)
     many = rng.choice(np.array([0, 65535, 100, 101, 102, 900], np.uint16), (7, 45, 33))
-    color = np.zeros((45, 33, 3), np.uint8)
-    frames = [SensorFrame(number, depth, depth, color) for number, depth in enumerate(many)]
-    found = take_snapshot(frames).frame.tactile_depth
+    colors = rng.integers(0, 256, (7, 45, 33, 3), np.uint8)
+    snapshot = take_snapshot(SensorFrame(number, many[number], many[number], colors[number]) for number in range(7))
+    assert np.array_equal(snapshot.frame.proximity_color, np.median(colors, axis=0))
+    found = snapshot.frame.tactile_depth
     for row, column in rng.integers(0, (45, 33), (50, 2)):
         valid = np.sort([value for value in many[:, row, column] if value not in (0, 65535)])
         middle = valid[[(len(valid) - 1) // 2, len(valid) // 2]] if len(valid) else np.zeros(1)
