@@ -106,8 +106,6 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
     qtbot.waitUntil(lambda: edited.result.compared is not None)
     shown, panel = edited.result.compared, edited.comparison
     assert (shown.a.side.name, shown.b.side.name) == ("Saved", "Present")
-    for side in (shown.a, shown.b):
-        assert_same(side.patch, ContactPipeline(side.side.preset, RIG).process(edited.result.frame))
     assert len(shown.b.patch.points) > len(shown.a.patch.points)
     assert panel.isVisible()
     assert cells(panel.table) == [["Tolerance t", "3 %", "10 %"]]
@@ -163,7 +161,6 @@ def test_the_present_side_follows_a_slider(compared, qtbot):
     qtbot.waitUntil(lambda: shows_preset_of_document(compared))
     shown, present = compared.result.compared, compared.document.preset
     assert shown.b.side.preset is present
-    assert_same(shown.b.patch, ContactPipeline(present, RIG).process(compared.result.frame))
     assert compared.context.comparison.sides[1].preset is present
     assert shown.a.side.preset.tolerance.t == 0.03
     assert cells(compared.comparison.table)[0][2] == f"{100 * present.tolerance.t:g} %"

@@ -133,13 +133,10 @@ def test_every_shortcut_belongs_to_one_action(window):
 
 
 def test_an_error_in_a_slot_is_shown_and_passed_on(window, qtbot):
-    window.error_hook.install()
-
     def broken():
         raise RuntimeError("the membrane burst")
 
     with qtbot.captureExceptions() as raised:
-        window.error_hook.remove()
         window.error_hook.install()
         QTimer.singleShot(0, broken)
         qtbot.waitUntil(lambda: window.messages.by_key.get("defect") is not None)

@@ -115,5 +115,3 @@ def test_ros_2_with_its_domain_and_namespace(publishing, qtbot):
     type_into(publishing.namespace, "left", Qt.Key.Key_Tab)
     QTest.mouseClick(publishing.start, LEFT)
     qtbot.waitUntil(lambda: "ROS 2, domain 78, 127.0.0.1, /left: 0 clients" in publishing.state.text())
-    QTest.mouseClick(publishing.start, LEFT)
-    qtbot.waitUntil(lambda: not listening())

@@ -14,7 +14,7 @@ def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune, recording, t
     file = tmp_path / "mine.json"
     finished = tactune(
         *("preset", "new", "--rig", recording / "rig.json", "--set", "alignment.model=homography", "--out", file),
-        *("--set", "mask.hue=[150,170]", "--set", "tolerance.t=0.01", "--set", "notes=on the bench"),
+        *("--set", "mask.hue=[150,170]", "--set", "notes=on the bench"),
     )
     assert finished.status == 0
     preset = load_preset(file)
@@ -23,7 +23,6 @@ def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune, recording, t
     assert preset.alignment.model == "homography"
     assert preset.mask.hue == (150, 170)
     assert preset.mask.enabled
-    assert preset.tolerance.t == 0.01
     assert preset.notes == "on the bench"
     assert not preset.range.enabled
     assert preset.outliers == Preset().outliers
