@@ -200,7 +200,8 @@ class DoubtEstimator:
         sigma_m = math.sqrt(noise_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2)
         sigmas = max(dent_m - elsewhere_m, 0.0) / sigma_m
         deeper = (1 + math.erf(sigmas / math.sqrt(2))) / 2
-        evidence = math.log(math.sqrt(2 * math.pi) * sigma_m * deeper / _NEAR_M) + sigmas**2 / 2
+        depths_m = min(math.sqrt(2 * math.pi) * sigma_m * deeper, _NEAR_M)  # that agree with the dent
+        evidence = math.log(depths_m / _NEAR_M) + sigmas**2 / 2
         return min(evidence, _MAX_EVIDENCE)
 
     def _dents_m(self, frame: SensorFrame, where: Any) -> Float32Array:

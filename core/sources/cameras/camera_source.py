@@ -9,8 +9,6 @@ from functools import partial
 from threading import Condition
 from typing import Final
 
-import numpy as np
-
 from ...errors import SourceError
 from ...model.frames import Rig, SensorFrame, Shot
 from ...preset import CamerasSection
@@ -152,8 +150,8 @@ class CameraSource(FrameSource):
         cameras = tuple(feed.health() for feed in self._feeds.values())
         stale = time.monotonic() - self._last_frame_s > max(feed.silent_s for feed in self._feeds.values())
         ok, said = all(camera.state == "streaming" for camera in cameras), [camera.message for camera in cameras]
-        with self._changed:
-            apart_s = float(np.ptp(list(self._latest_s.values()) or [0.0]))
+        latest_s = [*self._latest_s.values()]
+        apart_s = max(latest_s, default=0.0) - min(latest_s, default=0.0)
         if ok and stale and apart_s > _PATIENCE_S / 2:  # else frames are late, or nobody reads them
             ok = False
             said.append(

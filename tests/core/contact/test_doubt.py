@@ -169,6 +169,9 @@ def test_what_moves_everywhere_is_no_dent(rig):
     farther = np.where(frame.tactile_depth > 0, frame.tactile_depth + 15, 0).astype(np.uint16)
     before = replace(untouched, tactile_depth=farther)
     assert "no dent" in ContactPipeline(preset, touch.rig, before).process(frame).doubt.reasons
+    before = replace(untouched, tactile_depth=np.where(farther > 0, farther + 600, 0).astype(np.uint16))
+    moved, alone = (ContactPipeline(preset, touch.rig, each).process(frame).doubt for each in (before, None))
+    assert moved.touch_probability == pytest.approx(alone.touch_probability, abs=0.01), "it tells nothing"
 
 
 @pytest.mark.parametrize(
