@@ -37,11 +37,6 @@ def begin(window, qtbot):
     qtbot.waitUntil(lambda: window.recording.running)
 
 
-def end(window, qtbot):
-    press_record(window)
-    qtbot.waitUntil(lambda: not window.recording.running)
-
-
 def told(window):
     message = window.messages.by_key.get("recording")
     return "" if message is None else message.sentence
@@ -73,7 +68,8 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     assert window.recording.isVisible()
     cameras.give(qtbot, 40)
     qtbot.waitUntil(lambda: window.worker.recorder.status().frames == 40)
-    end(window, qtbot)
+    press_record(window)
+    qtbot.waitUntil(lambda: not window.recording.running)
     assert not window.recording.isVisible()
     assert not window.actions_.record.isChecked()
     [path] = folder.iterdir()

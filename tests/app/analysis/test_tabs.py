@@ -163,11 +163,6 @@ def opened(qtbot, window, source=None, index=3):
     return tab
 
 
-def go_to(qtbot, window, tab, index):
-    window.worker.seek(index)
-    qtbot.waitUntil(lambda: tab.shown is not None and tab.shown[0].frame.sequence == index)
-
-
 def test_shows_the_angles(qtbot, window):
     tab = opened(qtbot, window)
     alone = tab.shown[1]
@@ -190,7 +185,8 @@ def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, win
 def test_rows_are_exported(qtbot, window, tmp_path):
     tab = opened(qtbot, window)
     first = tab.shown[1]
-    go_to(qtbot, window, tab, 4)
+    window.worker.seek(4)
+    qtbot.waitUntil(lambda: tab.shown[0].frame.sequence == 4)
     tab.save_to(tmp_path / "tilt.csv")
     qtbot.waitUntil(lambda: tab.messages.by_key.get("done") is not None)
     with (tmp_path / "tilt.csv").open(newline="") as file:

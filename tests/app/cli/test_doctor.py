@@ -13,11 +13,6 @@ from tactune.core.sources.cameras import drivers
 from tactune.core.sources.cameras.camera import DeviceInfo
 
 
-def answering(answer):
-    """A child process that was never started."""
-    return lambda command: answer if isinstance(answer, Child) else Child(json.dumps(answer))
-
-
 def only(lines):
     (line,) = lines
     return line
@@ -58,7 +53,7 @@ def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on(monkeypatch):
     ],
 )
 def test_what_child_processes_answer(check, answer, state, words):
-    line = only(check(answering(answer)))
+    line = only(check(lambda _: answer if isinstance(answer, Child) else Child(json.dumps(answer))))
     assert line.state is state
     assert words in line.found
     assert bool(line.remedy) is (state is not State.OK)

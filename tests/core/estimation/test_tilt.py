@@ -30,12 +30,6 @@ def rig(cup):
     return cup[0].rig
 
 
-def normal_of(roll, pitch):
-    about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
-    about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
-    return about_y @ about_x @ [0.0, 0.0, 1.0]
-
-
 def pixels(half_u, half_v, turn=0.0):
     """Return u, v of the pixels in an ellipse, its long side turned from right towards down."""
     v, u = np.mgrid[:480, :640]
@@ -48,7 +42,9 @@ def pixels(half_u, half_v, turn=0.0):
 def plane_points(rig, u, v, roll, pitch, distance=0.26):
     lens = rig.proximity.intrinsics
     rays = np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(len(u))], axis=1)
-    normal = normal_of(roll, pitch)
+    about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    normal = about_y @ about_x @ [0.0, 0.0, 1.0]
     return rays * (normal[2] * distance / (rays @ normal))[:, None]
 
 

@@ -56,10 +56,6 @@ def decode(path):
     return found
 
 
-def stamp_ns(message):
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-
-
 def test_the_container_has_all_that_readers_seek_by(path):
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -101,7 +97,8 @@ def test_topics_images_and_stamps(path):
             assert (image.is_bigendian, image.step) == (0, pixels.nbytes // len(pixels))
             assert bytes(image.data) == pixels.tobytes()
             time_s = frame.tactile_time_s if topic.startswith("/tactile") else frame.proximity_time_s
-            assert stamp_ns(image) == message.publish_time == round(time_s * 1e9)
+            stamp = image.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == message.publish_time == round(time_s * 1e9)
             assert message.log_time == round(frame.proximity_time_s * 1e9)
             assert message.sequence == frame.sequence
 
