@@ -67,7 +67,7 @@ def is_realsense(text: str) -> bool:
     paths = recording_files(text)
     if not paths:
         return True  # it is told that there is none
-    with closing(open_bag(paths[:1])) as bag:
+    with closing(open_bag(paths)) as bag:
         return any(topic.startswith("/device_") for topic in bag.types)
 
 

@@ -131,6 +131,9 @@ def test_two_files_are_one_source_in_either_order(tmp_path, swapped):
         np.testing.assert_array_equal(frame.tactile_depth, on_global_time(1, times(3)).images[2])
         assert frame.skew_s == pytest.approx(-0.004, abs=1e-6)
         assert frame.proximity_time_s == pytest.approx(EPOCH_S + 0.004 + 2 * RATE_S, abs=1e-6)
+    files[0].write_bytes(b"")
+    with pytest.raises(SourceError, match=f"{files[0].name}: this is no readable RealSense recording"):
+        open_source(name)
 
 
 def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moments(open_bag, tmp_path):
