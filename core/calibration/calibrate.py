@@ -176,10 +176,8 @@ def _in_depth_image(points: PointArrays, rig: Rig, rigid: Fit | None) -> PointAr
 
 
 def _try_homography(clicked: PointArrays, ids: list[str], rig: Rig, rigid: Fit | None) -> tuple[Fit | None, str]:
-    """Fit the homography to the inliers of the rigid fit, if all pairs have depth.
-
-    Points off one plane contradict every homography without being wrong; only the rigid model can tell.
-    """
+    """Fit the homography to the inliers of the rigid fit, if all pairs have depth."""
+    # points off one plane contradict every homography without being wrong; only the rigid model can tell
     told = None
     if rigid is not None and rigid.degrees > 0 and len(rigid.inliers) == len(clicked):
         told = rigid.inliers

@@ -109,6 +109,7 @@ class Intrinsics(BaseModel):
         dx, dy = self._tangential(x, y, r2)
         return x + dx, y + dy
 
+    @np.errstate(all="ignore")  # it diverges where a lens folds
     def _undistort(self, x0: Float64Array, y0: Float64Array) -> tuple[Float64Array, Float64Array]:
         x, y = x0, y0
         for _ in range(_UNDISTORT_STEPS):

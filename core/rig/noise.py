@@ -10,12 +10,14 @@ line for time of flight.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from pydantic import ValidationError
 
 from ..contact.membrane.frame_bias import UNKNOWN_BIAS_M
 from ..contact.membrane.steps import firm_contact_bias
@@ -36,7 +38,7 @@ _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 _LENGTHS_PX: Final = np.geomspace(0.8, 64.0, 60)
 #: Side of the windows with a smooth surface, pixels: the first, or this multiple of the correlation length if that is
 #: larger, up to the last.
-_TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX = 48, 6.0, 144
+_TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX, _LEAST_TILE_PX = 48, 6.0, 144, 4
 #: Share of a window's pixels that need a depth, and share of the frames in which a pixel needs one.
 _MIN_FILLED, _MIN_SEEN = 0.85, 0.8
 #: What changes and what stays have correlation lengths within this factor.
@@ -221,13 +223,19 @@ def _camera_noise(
     total, shared = sum(parts), shared_changing + shared_fixed
     if shared <= _MIN_CORRELATED * total:
         length_px = 0.0
-    return CameraNoise(
-        white_m=float(np.sqrt(white_changing + white_fixed)),
-        correlated_m=float(np.sqrt(shared)) if length_px else 0.0,
-        length_px=length_px,
-        changing_share=(white_changing + shared_changing) / total if total > 0 else 0.0,
-        distance_m=distance_m,
-    )
+    try:
+        return CameraNoise(
+            white_m=float(np.sqrt(white_changing + white_fixed)),
+            correlated_m=float(np.sqrt(shared)) if length_px else 0.0,
+            length_px=length_px,
+            changing_share=(white_changing + shared_changing) / total if total > 0 else 0.0,
+            distance_m=distance_m,
+        )
+    except ValidationError as error:
+        raise FrameError(
+            f"a depth of {distance_m:.3g} m with a noise of {math.sqrt(total):.2g} m, as the {role} camera gives, is "
+            f"none of such a sensor; check the camera's depth unit, {camera.depth_unit_m:g} m"
+        ) from error
 
 
 def _metres(images: Sequence[Uint16Array], camera: DepthCamera) -> Float32Array:
@@ -241,7 +249,7 @@ def _metres(images: Sequence[Uint16Array], camera: DepthCamera) -> Float32Array:
 
 def _growth(mean: Float32Array, deviation: Float32Array, seen: BoolArray, distance_m: float) -> Float32Array:
     """Return each pixel's noise as a multiple of that at a distance, by a straight line over the depth."""
-    parts = np.array_split(np.argsort(mean[seen]), 12)
+    parts = np.array_split(np.argsort(mean[seen]), min(12, int(seen.sum())))
     depth, noise = (np.array([np.median(image[seen][part]) for part in parts]) for image in (mean, deviation))
     slope, start = np.polyfit(depth, noise, 1) if np.ptp(depth) >= 0.2 * distance_m else (0.0, 1.0)
     there = start + slope * distance_m
@@ -293,7 +301,7 @@ def _fixed_autocovariances(
     role: CameraRole, surface: Float32Array, divisor: Float32Array, good: BoolArray, length_px: float
 ) -> tuple[Autocovariances, int]:
     """Return the autocovariances of the mean frame's residuals from smooth surfaces, and the window size, pixels."""
-    largest = min(_MAX_TILE_PX, min(surface.shape) // 3)
+    largest = max(min(_MAX_TILE_PX, min(surface.shape) // 3), _LEAST_TILE_PX)
     for tile_px in (int(np.clip(_TILE_LENGTHS * length_px, _TILE_PX, largest)), min(_TILE_PX, largest)):
         rows = _residual_autocovariances(surface, divisor, good, tile_px)
         if len(rows):

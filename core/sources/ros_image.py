@@ -148,10 +148,7 @@ class RawImage:
         return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
     def _rows(self, shape: tuple[int, int], bytes_per_pixel: int, planes: float = 1) -> Uint8Array:
-        """Return the image's bytes, shape (planes * H, W * bytes per pixel), padding cut off.
-
-        Of more than one plane, brightness and colour lie below each other.
-        """
+        """Return the image's bytes without padding, (planes * H, W * bytes per pixel); planes lie below each other."""
         width, count = shape[1], round(shape[0] * planes)
         if (self.height, self.width) != shape:
             raise DamagedFileError(

@@ -204,10 +204,8 @@ def _near(differences: Differences, centre_m: float) -> Differences | None:
 
 
 def _variance_m2(known: RigBias, area_m2: float) -> float:
-    """Return the variance of a bias from contact of an area.
-
-    Its last term is noise that is taken for contact: such noise hides a gap, but hardly one as wide as large contact.
-    """
+    """Return the variance of a bias from contact of an area."""
+    # noise that is taken for contact hides a gap, but hardly one as wide as large contact
     hidden_m = known.gap_sigma_m * min(_REPLACING * FIRM_M2 / area_m2, 1.0)
     return known.noise_m4 / area_m2 + hidden_m**2
 

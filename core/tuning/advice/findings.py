@@ -18,6 +18,7 @@ from ...contact.membrane.section import USUAL_GAP_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus
+from ...model.arrays import median
 from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
@@ -289,7 +290,7 @@ def false_contact(it: Situation) -> Finding | None:
         if it.untouched_patch is None or patch.area_mm2 < _MIN_FALSE_MM2 or dent_m < _MIN_DENT_M:
             return None
         change_m = (patch.aligned.measured_m - it.untouched_patch.aligned.measured_m)[patch.mask]
-        if not abs(float(np.nanmedian(change_m))) < dent_m / 2:
+        if not abs(median(change_m)) < dent_m / 2:
             return None
     lens, depth_m = it.rig.proximity.intrinsics, float(np.median(patch.points[:, 2]))
     largest_px, places = max(len(each.members) for each in patch.contacts), counted(len(patch.contacts), "place")

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from side_by_side import HEIGHT, WIDTH, counts, rig
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
@@ -101,6 +102,9 @@ def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     blind = [replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth)) for frame in still[:20]]
     with pytest.raises(FrameError, match=r"the tactile camera sees depth in only 0\.0 %"):
         measure_noise(blind, rig, preset)
+    in_centimetres = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"depth_unit_m": 0.01})})
+    with pytest.raises(FrameError, match=r"300 m .* the tactile camera .* depth unit, 0\.01 m"):
+        measure_noise(still, in_centimetres, preset)
 
 
 def test_a_scene_without_smooth_surfaces_is_refused(rig, preset, still):
@@ -109,6 +113,10 @@ def test_a_scene_without_smooth_surfaces_is_refused(rig, preset, still):
     frames = [replace(frame, proximity_depth=frame.proximity_depth * holes) for frame in still[:12]]
     with pytest.raises(FrameError, match=r"the proximity camera sees no smooth surface"):
         measure_noise(frames, rig, preset)
+    tiny = one_place_rig(7, 3, 10.0)
+    depth, color = np.full((3, 7), 1200, np.uint16), np.zeros((3, 7, 3), np.uint8)
+    with pytest.raises(FrameError, match=r"the tactile camera sees no smooth surface"):
+        measure_noise([SensorFrame(index, depth, depth, color) for index in range(12)], tiny, preset)
 
 
 def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset, pressed_is):
