@@ -1,7 +1,7 @@
 # make run: set up and start. make test: set up and run the tests. make help: the rest.
 
-SOURCE ?= sim
-PRESET ?= simulator
+SOURCE ?=
+PRESET ?=
 OUT ?= out
 
 # Another environment's packages (a sourced ROS workspace, say) must not reach this one.
@@ -11,7 +11,7 @@ export PYTHONNOUSERSITE = 1
 .PHONY: run test test-long test-newest-realsense lint format setup guide pictures release lock clean help
 .DEFAULT_GOAL := help
 
-run: setup guide  ## start the application on the simulator; without a display do the same job headless, into out/
+run: setup guide  ## start the application, at first on the simulator; without a display do the same job headless, into out/
 	@scripts/run.sh "$(SOURCE)" "$(PRESET)" "$(OUT)"
 
 test: setup  ## run the tests offscreen in three processes

@@ -179,6 +179,7 @@ def _process(
     with CliProgress(quiet=lines is not None) as progress:
         for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
+            number = patch.sequence if source.length is None else done  # as the window counts
             first_s = first_s if done else frame.proximity_time_s
             scores = _scores(patch, frame.truth, source.rig) if truth else {}
             scored |= scores.get("touched") is not None
@@ -188,11 +189,10 @@ def _process(
                 if done % EXAMINED_EVERY == 0:
                     found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)
                 estimate = {} if tilt is None else {"tilt": tilt(patch).record()}
-                record = _patch_record(patch, frame) | scores | estimate
+                record = {"frame": number, **_patch_record(patch, frame), **scores, **estimate}
                 typer.echo(json.dumps(record | {"findings": [finding.sentence for finding in found]}, allow_nan=False))
             else:
                 if lines == "text":
-                    number = patch.sequence if source.length is None else done  # as the window counts
                     say(_line(number, patch, frame.proximity_time_s - first_s, scores))
                 records.append({"area_mm2": patch.area_mm2, "stage_ms": patch.stage_ms, **scores})
             done += 1

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup
-from PyQt6.QtWidgets import QStackedWidget, QToolButton, QWidget
+from PyQt6.QtWidgets import QApplication, QStackedWidget, QToolButton, QWidget
 
 from ...widgets.basics.controls import NoteLabel, action_button, heading, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -115,7 +115,11 @@ class ModeColumn(QWidget):
         self.action_of(Mode(name) if name in list(Mode) else Mode.SET_UP).setChecked(True)
 
     def _show_mode(self, mode: Mode) -> None:
+        focus = QApplication.focusWidget()
+        had_focus = focus is not None and self.stack.isAncestorOf(focus)
         self.stack.setCurrentWidget(self._panels[mode])
+        if had_focus:  # else a heading would take the space bar, which plays
+            self.window().setFocus()
         self._show_step()
         self.modeChanged.emit()
 

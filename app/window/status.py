@@ -64,7 +64,7 @@ class FrameDetails(QLabel):
         patch, runs = result.patch, result.playback.playing
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
-        times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "not run again"
+        times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "nothing new to compute"
         points = "none" if patch is None else counted(len(patch.points), "point")
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
@@ -76,7 +76,7 @@ class FrameDetails(QLabel):
             f"Dropped: {result.dropped}, unmatched: {result.unmatched}",
             f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
             f"Reading: {result.read_ms:.1f} ms, drawing: {result.render_ms:.1f} ms",
-            f"Contact test: {times}",
+            f"Contact test: {result.preset.contact_test}, {times}",
         )
         self.setText("\n".join(lines))
 

@@ -162,4 +162,4 @@ class ContactTest(ABC):
         by = max(dropped, key=lambda verdict: dropped[verdict])
         reason = cls.drop_reasons[by]
         left_out = f"{dropped[by]:,} of {counted(total, 'point')} that could touch"
-        return f"Nothing in contact: {reason.step} left out {left_out}; {reason.remedy}", reason.action
+        return f"No contact. If something presses, {reason.remedy}: {reason.step} left out {left_out}", reason.action

@@ -50,6 +50,7 @@ _ALIKE_M: Final = 0.004
 #: Largest evidence of the untouched frame, natural logarithm of odds.
 _MAX_EVIDENCE: Final = 4.0
 LOST_PRINTS: Final = "prints gone from the mask"
+NO_UNTOUCHED: Final = "no untouched frame"
 #: Prints are gone from the mask if it covers less than this share of what it covers in the untouched frame.
 _FEWER_PRINTS: Final = 0.5
 #: A contact with a boundary error of more than this share of its radius may be none: odds fall by the second, natural
@@ -107,7 +108,7 @@ class DoubtEstimator:
                 reasons = (*reasons, "smaller than the error of its boundary")
             probability = 1 / (1 + math.exp(-odds - evidence))
             if self._pixels.untouched is None and probability < SURE:
-                reasons = (*reasons, "no untouched frame")
+                reasons = (*reasons, NO_UNTOUCHED)
             return Doubt(probability, boundary_mm, reasons)
 
         return doubt_of

@@ -309,9 +309,6 @@ class Watch:
         return WatchReport(drift.verdict, "told", time_s, drift.sentence, remedies)
 
 
-_NO_UNTOUCHED = "the preset has no untouched frame; capture one while nothing touches the membrane"
-
-
 @dataclass(frozen=True, eq=False)
 class RigCheck:
     """Drift of the alignment and of the membrane; for each, a sentence instead if it could not be checked."""
@@ -364,7 +361,7 @@ def check_rig(
     preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame, untouched: SensorFrame | None = None
 ) -> RigCheck:
     """Check a preset on a frame; its untouched frame, unless it is given, lies beside ``preset_path``."""
-    membrane: MembraneDrift | str = _NO_UNTOUCHED
+    membrane: MembraneDrift | str = "the preset has no untouched frame; capture one while nothing touches the membrane"
     if preset.untouched is not None and preset_path is not None:
         try:
             untouched = untouched or load_untouched(preset.untouched, preset_path)

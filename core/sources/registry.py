@@ -94,12 +94,7 @@ _ROS_FOLDER: Final = "metadata.yaml *_0.mcap *_0.db3 *_0.mcap.zstd *_0.db3.zstd"
 _OWN: Final = {
     kind.scheme: kind
     for kind in (
-        SourceKind(
-            "sim",
-            "Simulator",
-            "sim:SCENE",
-            _open_simulator,
-        ),
+        SourceKind("sim", "Simulator", "sim:SCENE", _open_simulator),
         SourceKind("folder", "Folder of images", "folder:PATH", _open_folder, "folder", "rig.json"),
         SourceKind(
             "bag",

@@ -3,7 +3,7 @@
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog
+from PyQt6.QtWidgets import QApplication, QFileDialog, QPushButton
 
 from fakes import FakeSource
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
@@ -97,6 +97,15 @@ def test_sliders_are_long_enough_to_aim_with_in_a_small_window(window, qtbot, co
     for row in window.panel.rows.values():
         if row.label.isVisible():
             assert row.label.width() >= row.label.sizeHint().width()
+
+
+def test_the_space_bar_plays_after_a_change_of_mode_by_keys(window, qtbot):
+    show_source(qtbot, window, FakeSource(length=3))
+    QTest.keyClick(window, Qt.Key.Key_1, CONTROL)
+    window.set_up.findChild(QPushButton).setFocus()
+    QTest.keyClick(window, Qt.Key.Key_2, CONTROL)
+    with qtbot.waitSignal(window.actions_.play.triggered):
+        QTest.keyClick(QApplication.focusWidget() or window, Qt.Key.Key_Space)
 
 
 def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):

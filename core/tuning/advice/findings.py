@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from ...contact.doubt import LOST_PRINTS
+from ...contact.doubt import LOST_PRINTS, NO_UNTOUCHED
 from ...contact.masking import masked_share
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m
 from ...contact.membrane.frame_bias import UNKNOWN_BIAS_M, rig_bias
@@ -234,6 +234,14 @@ def unknown_bias(it: Situation) -> Finding | None:
     return Finding("unknown_bias", "membrane.bias", sentence, action="measure_noise")
 
 
+def unknown_dent(it: Situation) -> Finding | None:
+    """A patch is doubted because there is no untouched frame."""
+    if NO_UNTOUCHED not in it.patch.doubt.reasons:
+        return None
+    sentence = "Without the untouched frame nothing tells this touch from a hover: capture it while nothing touches."
+    return Finding("unknown_dent", "contact_test", sentence, action="capture_untouched")
+
+
 def unfit_tolerance(it: Situation) -> Finding | None:
     """The tolerance is far from what the measured noise asks for: it leaves holes, or passes what hovers."""
     preset = it.preset
@@ -313,8 +321,8 @@ def false_contact(it: Situation) -> Finding | None:
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
     lambda it: depth_missing(it.frame, it.rig),
-    covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unfit_tolerance, wide_gap, bulge,
-    false_contact,
+    covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, unknown_dent, unfit_tolerance, wide_gap,
+    bulge, false_contact,
 )  # fmt: skip
 
 

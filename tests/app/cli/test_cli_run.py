@@ -28,7 +28,7 @@ def test_json_lines_say_what_the_patch_is(tactune, recording):
     lines = json_lines(finished.out)
     assert finished.status == 0
     assert [line["sequence"] for line in lines] == [0, 1, 2, 3]
-    numbers = {"sequence", "time_s", "points", "area_mm2", "centroid_m", "averaged_frames"}
+    numbers = {"frame", "sequence", "time_s", "points", "area_mm2", "centroid_m", "averaged_frames"}
     doubt = {"touch_probability", "boundary_error_mm", "doubt"}
     assert set(lines[0]) == numbers | doubt | {"stage_ms", "contacts", "findings"}
     for contact in lines[-1]["contacts"]:

@@ -30,9 +30,12 @@ def scene(name):
 
 
 def findings(preset, rig, frame, untouched=None):
-    """The findings on a frame, by name."""
-    patch = ContactPipeline(preset, rig).process(frame)
-    return {found.name: found for found in Examiner(rig).findings(frame, patch, preset, untouched)}
+    """The findings on a frame, by name; without an untouched frame, but for the one that says so."""
+    patch = ContactPipeline(preset, rig, untouched).process(frame)
+    found = {found.name: found for found in Examiner(rig).findings(frame, patch, preset, untouched)}
+    if untouched is None:
+        found.pop("unknown_dent", None)
+    return found
 
 
 def mended(finding, preset, rig, frame, untouched=None):
@@ -48,6 +51,16 @@ def test_the_shipped_preset_gives_no_finding(name, sensor):
     _, untouched = scene(f"{UNTOUCHED}&sensor={sensor}")
     found = findings(SHIPPED, rig, frame, untouched)
     assert set(found) == ({"peak"} if sensor == "far-offset" else set())
+
+
+def test_a_touch_that_is_doubted_without_the_untouched_frame_asks_for_it():
+    (rig, frame), (_, untouched) = scene("sim:octopus?press=low"), scene(UNTOUCHED)
+    alone, beside = (ContactPipeline(SHIPPED, rig, each).process(frame) for each in (None, untouched))
+    named = [
+        {each.name: each for each in Examiner(rig).findings(frame, patch, SHIPPED, None)} for patch in (alone, beside)
+    ]
+    assert named[0]["unknown_dent"].action == "capture_untouched"
+    assert "unknown_dent" not in named[1]
 
 
 class TestPeak:
