@@ -118,8 +118,8 @@ class ModeColumn(QWidget):
         focus = QApplication.focusWidget()
         had_focus = focus is not None and self.stack.isAncestorOf(focus)
         self.stack.setCurrentWidget(self._panels[mode])
-        if had_focus:  # else a heading would take the space bar, which plays
-            self.window().setFocus()
+        if had_focus and (window := self.window()) is not None:  # else a heading would take the space bar, which plays
+            window.setFocus()
         self._show_step()
         self.modeChanged.emit()
 
