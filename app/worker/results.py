@@ -216,6 +216,11 @@ class Result:
     render_ms: float = 0.0
     compared: ComparedFrame | None = None
 
+    @property
+    def frame_number(self) -> int:
+        """Number of the frame in its source, counted from 0 as in files and commands; for tabs of other packages."""
+        return self.playback.index
+
 
 class Pace:
     """Says when it is time to show again what nobody reads faster than every ``interval_s`` while frames play."""
