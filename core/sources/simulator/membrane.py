@@ -15,6 +15,8 @@ away from the cameras.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -29,6 +31,8 @@ from .objects import NO_OBJECT, allocating, compiled, distance, normal, to_surfa
 #: A mesh with fewer columns tears in deep presses. From the second number on, a mesh is inflated from a coarser one.
 #: Shipped scenes have smaller meshes, which are inflated by themselves: a test compares their bits with the solver's.
 _FEWEST_COLUMNS, _REFINED_COLUMNS = 56, 224
+#: What is called in this thread after each equilibrium: it shows progress, and may end the work by raising.
+ON_SOLVED: Final[ContextVar[Callable[[], None]]] = ContextVar("on_solved", default=lambda: None)
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
 _FOLDS: Final = 18
 _FOLD_INNER_M: Final = 0.018
@@ -488,6 +492,7 @@ class Membrane:
             if np.isfinite(residual) or share < _SHORTEST_SHARE:
                 break
             share /= 2
+        ON_SOLVED.get()()
         volume = _forces(nodes, sheet, np.empty_like(nodes), np.empty_like(nodes)) + self.design.dead_volume_m3
         return MembraneState(nodes, reaction, gap, float(self._gas_joule / volume), float(residual))
 
@@ -545,9 +550,7 @@ class Membrane:
 
     def surface(self, nodes: Float64Array) -> Float64Array:
         """Return the outer surface, folds included, (N, 3)."""
-        surface = nodes.copy()
-        surface[:, 2] += self.mesh.relief_m
-        return surface
+        return np.asarray(nodes + np.outer(self.mesh.relief_m, (0.0, 0.0, 1.0)))
 
     def at(self, flat: Float64Array, nodes: Float64Array) -> Float64Array:
         """Return the present positions, (M, 3), of points of the flat sheet, (M, 2), interpolated between nodes."""
@@ -564,8 +567,7 @@ class Membrane:
 
 def contact_load(membrane: Membrane, state: MembraneState) -> Float64Array:
     """Return the force of the object on each node, friction included, (N, 3), newtons: what rubber and air lack."""
-    touching = (state.reaction_n > 0.0)[:, None]
-    return np.asarray(np.where(touching, membrane.gradient(state.nodes), 0.0))
+    return np.asarray(np.where((state.reaction_n > 0.0)[:, None], membrane.gradient(state.nodes), 0.0))
 
 
 def object_pose(rotation: Any, origin: Any) -> Float64Array:
@@ -592,8 +594,7 @@ def contact_share(membrane: Membrane, state: MembraneState, kind: int, pose: Flo
     thing, laid = _Object(kind, pose, mesh.relief_m), state.nodes.copy()
     _lay(thing, laid, beside)
     gradient = membrane.gradient(laid)
-    edge = touching & _beside(~touching, membrane.design.cells)
-    for n in np.flatnonzero(edge).tolist():
+    for n in np.flatnonzero(touching & _beside(~touching, membrane.design.cells)).tolist():
         nx, ny, nz = _normal(thing, laid, n)
         whole = gradient[n, 0] * nx + gradient[n, 1] * ny + gradient[n, 2] * nz
         share[n] = state.reaction_n[n] / whole if whole > state.reaction_n[n] else 1.0

@@ -16,6 +16,7 @@ from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 from threading import Lock
 from typing import IO, Any, Final
@@ -33,7 +34,7 @@ from ...model.files import atomic_path
 from ...model.frames import GroundTruth, Rig, SensorFrame, Shot
 from ...model.loading import read_file
 from ..base import Progress, SeekableSource
-from .membrane import Membrane
+from .membrane import ON_SOLVED, Membrane
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
@@ -48,7 +49,8 @@ _OTHER_SEEDS: Final = 1_000_000
 _IMAGES_VERSION: Final = 4
 #: Folder of the solved scenes in the package.
 SHIPPED: Final = Path(__file__).with_name("solved")
-
+#: How many equilibria are usually solved until the membrane is inflated.
+_INFLATING: Final = 9
 _IMAGES: Final = tuple(field.name for field in fields(CleanState))
 _FACTS = TypeAdapter(list[PressFacts])
 _DIGEST_BYTES: Final = 32
@@ -137,9 +139,7 @@ class SimulatorSource(SeekableSource):
         """Return contact and pressure on the tactile camera's pixels, and the force in its frame."""
         lens, shape = self._both.tactile.intrinsics, self._both.tactile.intrinsics.shape
         T_tactile_proximity = np.linalg.inv(np.array(self._both.T_proximity_tactile))
-        assert truth.depth_m is not None
-        assert truth.pressure_pa is not None
-        assert truth.force_n is not None
+        assert truth.depth_m is not None and truth.pressure_pa is not None and truth.force_n is not None
         points = truth_points(truth, self._both) @ T_tactile_proximity[:3, :3].T + T_tactile_proximity[:3, 3]
         column, row = np.rint(lens.project(points)).astype(int).T
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
@@ -157,9 +157,8 @@ class SimulatorSource(SeekableSource):
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Return the scene from the package or the cache, or compute and cache it."""
         path = cache_file(scene.name, f"{scene.key} {self._both.model_dump_json()}")
-        progress(0.0, f"Looking for the scene {_title(scene)} in the cache")
-        count = len(scene.drawn)
-        solved = _open_scenes.get(path) or load_scene(SHIPPED / path.name, count) or load_scene(path, count)
+        length = len(scene.drawn)
+        solved = _open_scenes.get(path) or load_scene(SHIPPED / path.name, length) or load_scene(path, length)
         if solved is None:
             solved = self.solve_anew(scene, progress)
             with suppress(ExportError):  # the next start takes as long
@@ -173,18 +172,21 @@ class SimulatorSource(SeekableSource):
 
     def solve_anew(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""
-        progress(0.0, "Inflating the membrane; slow at first")
-        press = self._press(scene)
+        name = scene.name.rpartition("-")[0].replace("-", " ").replace(" none", " untouched")
+        words, solved, expected = f"Computing the scene “{name}”", count(1), _INFLATING + len(scene.way)
+        progress(0.0, f"{words}; slow at first")
+        telling = ON_SOLVED.set(lambda: progress(0.95 * min(next(solved) / expected, 1.0), words))
         drawn: list[Future[CleanState]] = []
         facts: list[PressFacts] = []
         pool = ThreadPoolExecutor(1)
         try:
+            press = self._press(scene)
             for depth, pose, state in press.states():
                 drawn.append(pool.submit(press.picture, pose, state))
                 facts.append(press.facts(depth, pose, state))
-                progress(0.95 * len(drawn) / len(scene.drawn), f"Computing the scene {_title(scene)}")
             return SolvedScene([future.result() for future in drawn], facts)
         finally:
+            ON_SOLVED.reset(telling)
             pool.shutdown(cancel_futures=True)
 
 
@@ -192,10 +194,6 @@ class SimulatorSource(SeekableSource):
 _noise_of = lru_cache(maxsize=2)(NoiseModel)
 #: Inflating the untouched membrane takes most of the time of a still press.
 _inflated = lru_cache(maxsize=8)(Membrane)
-
-
-def _title(scene: Scene) -> str:
-    return f"“{scene.name.rpartition('-')[0].replace('-', ' ').replace(' none', ' untouched')}”"
 
 
 # Solved scenes on disk

@@ -64,7 +64,7 @@ def test_frames_depend_on_seed_and_index_only(noise):
 
 def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(tmp_path, monkeypatch):
     monkeypatch.setattr(simulator_source, "user_cache_dir", lambda name: str(tmp_path / name))
-    solved, solve = [], SimulatorSource.solve_anew
+    solved, told, solve = [], [], SimulatorSource.solve_anew
 
     def counted(*given):
         solved.append(1)
@@ -75,12 +75,16 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
 
     def open_again():
         gc.collect()  # open sources share their scene; none is open now
-        simulator = SimulatorSource("cube", variant=Variant(press="low"), cells=(36, 20))
+        simulator = SimulatorSource(
+            "cube", progress=lambda *each: told.append(each), variant=Variant(press="low"), cells=(36, 20)
+        )
         return images(simulator.read(3)), simulator.facts(3)
 
     monkeypatch.setattr(SimulatorSource, "solve_anew", counted)
     first, again = open_again(), open_again()
     assert len(solved) == 1
+    shares = [share for share, words in told if words == "Computing the scene “cube low”"]
+    assert len(set(shares)) > 2 and shares == sorted(shares), "a still press is drawn once, after many steps"
     (kept,) = (tmp_path / "tactune" / "simulator").iterdir()
     kept.write_bytes(kept.read_bytes()[:1000])
     monkeypatch.setattr(simulator_source, "save_scene", refuse)
