@@ -11,6 +11,7 @@ import typer
 
 from ...core.errors import CalibrationError
 from .common import (
+    CliProgress,
     PresetOption,
     UntouchedSource,
     average_frames,
@@ -79,9 +80,9 @@ def check(
     For a robot's start. The alignment is compared with both colour images, the membrane with the preset's untouched
     frame. Prints one line. Exit status: 0 if all that could be checked is still good; 1 after a drift; 2 if nothing
     could be checked, something touches the membrane, or the preset's untouched frame is missing. A warning names what
-    was not checked. The simulator removes its object for this.
+    was not checked. A recording is searched for where nothing touches; the simulator removes its object for this.
     """
-    from ...core.rig.untouched import load_untouched
+    from ...core.rig.untouched import load_untouched, place_at_rest
 
     checked, origin = chosen_preset(preset, source)
     untouched = None
@@ -90,6 +91,9 @@ def check(
     with open_with_progress(source, checked) as opened:
         from ...core.rig.drift import check_rig  # after a wrong source was told
 
+        if opened.length is not None:
+            with CliProgress() as progress:
+                opened.seek(place_at_rest(opened, progress.preparing))
         found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame, untouched)
     if found.state == "unknown":
         raise CalibrationError(found.sentence)

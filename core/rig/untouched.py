@@ -216,7 +216,7 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame, number: int) -> Non
     if moved.mean() > _MOVED_TILES:
         farthest = float(np.abs(change)[moved].max() / np.median(before[moved]))
         raise CalibrationError(
-            f"the membrane moved while the untouched frame was captured: frame {number} of the capture differs from "
-            f"the first by up to {100 * farthest:.1f} % of the depth; remove what touches it, wait until its pressure "
-            "is constant, and capture again"
+            f"the membrane moved while it should have been untouched: frame {number} differs from the first by up to "
+            f"{100 * farthest:.1f} % of the depth; remove what touches it, wait until its pressure is constant, and "
+            "start again"
         )
