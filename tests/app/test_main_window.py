@@ -190,12 +190,13 @@ def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, 
 
 
 def test_escape_dismisses_and_the_key_of_messages_goes_to_them(window, qtbot):
+    assert not window.actions_.messages.isEnabled()
     fail_to_open(window, qtbot)
     QTest.keyClick(window, Qt.Key.Key_F12)
     assert window.messages.isAncestorOf(QApplication.focusWidget())
     window.views.setFocus()
     QTest.keyClick(window, Qt.Key.Key_Escape)
-    assert window.messages.sentences() == []
+    assert window.messages.sentences() == [] and not window.actions_.messages.isEnabled()
 
 
 @pytest.fixture
