@@ -18,7 +18,7 @@ from ...contact.membrane.section import USUAL_GAP_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus
-from ...model.arrays import median
+from ...model.arrays import BoolArray, median
 from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
@@ -180,6 +180,14 @@ def _bias(it: Situation) -> MeasuredBias | None:
     return pressed_bias([contact], known.noise_m4, known.gap_sigma_m)
 
 
+def _better_mask(it: Situation) -> tuple[Proposal, BoolArray] | None:
+    """Return another mask of the prints in the frame and its pixels; None if there is none, or the preset's does."""
+    with suppress(AdviceError, FrameError, RigMismatchError):
+        found = find_prints(Evidence(it.preset, it.rig, (it.frame,)))
+        return found if found[0].changes else None
+    return None
+
+
 def prints(it: Situation) -> Finding | None:
     """Several groups of contact have the colour of prints, and wherever it is, both cameras measure the membrane."""
     if not it.preset.test.needs_proximity:
@@ -187,12 +195,10 @@ def prints(it: Situation) -> Finding | None:
     large = [contact.members for contact in it.patch.contacts if len(contact.members) >= _MIN_GROUP_PX]
     if len(large) < _MIN_PRINTS:
         return None
-    try:
-        proposal, covered = find_prints(Evidence(it.preset, it.rig, (it.frame,)))
-    except (AdviceError, FrameError, RigMismatchError):
+    mask = _better_mask(it)
+    if mask is None:
         return None
-    if not proposal.changes:
-        return None
+    proposal, covered = mask
     found = sum(covered[it.patch.mask][members].mean() >= _MIN_COLORED for members in large)
     if found < 2:
         return None
@@ -216,11 +222,8 @@ def lost_prints(it: Situation) -> Finding | None:
     if LOST_PRINTS not in it.patch.doubt.reasons:
         return None
     sentence = "The mask covers less than half of the prints that it covers in the untouched frame."
-    proposal = None
-    with suppress(AdviceError, FrameError, RigMismatchError):
-        found, _ = find_prints(Evidence(it.preset, it.rig, (it.frame,)))
-        proposal = found if found.changes else None
-    return Finding("lost_prints", "mask.hue", sentence, proposal)
+    mask = _better_mask(it)
+    return Finding("lost_prints", "mask.hue", sentence, mask and mask[0])
 
 
 def unknown_bias(it: Situation) -> Finding | None:
@@ -229,8 +232,8 @@ def unknown_bias(it: Situation) -> Finding | None:
     if facts is None or not it.preset.membrane.bias or facts.bias_known or not len(it.patch.points):
         return None
     sentence = "This contact is too small to tell a bias from a gap, and the bias of this rig is not measured."
-    if not it.preset.mask.enabled:
-        sentence += " The mask is off, so the contact may be prints; switch the mask on first."
+    if not it.preset.mask.enabled and (mask := _better_mask(it)):
+        return Finding("unknown_bias", "mask.enabled", f"{sentence} The mask is off; prints tell the bias.", mask[0])
     return Finding("unknown_bias", "membrane.bias", sentence, action="measure_noise")
 
 

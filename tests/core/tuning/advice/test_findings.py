@@ -160,8 +160,10 @@ def test_small_contact_while_the_bias_is_not_known():
     box = int(u.min()), int(v.min()), int(np.ptp(u)), int(np.ptp(v))
     no_prints = NO_MASK.with_values({"region.enabled": True, "region.rectangle": box})
     found = findings(no_prints, rig, frame)["unknown_bias"]
-    assert found.action == "measure_noise"
-    assert found.sentence.endswith("switch the mask on first.")
+    assert found.action == "measure_noise" and "mask" not in found.sentence
+    rig_o, with_prints = scene("sim:octopus?press=low")
+    found = findings(NO_MASK, rig_o, with_prints)["unknown_bias"]
+    assert "The mask is off" in found.sentence and mended(found, NO_MASK, rig_o, with_prints)
     measured = no_prints.model_copy(update={"noise": noise(0.001)})
     assert "unknown_bias" not in findings(measured, rig, frame)
     assert "unknown_bias" not in findings(SHIPPED, rig, frame)  # prints tell the bias
