@@ -94,6 +94,7 @@ class Finder(QWidget):
         super().__init__()
         self._session = session
         self._searched: tuple[str, ...] = ()
+        self._pairs = 0  # how many there were when the words were said
         gestures = GestureClock()
         self.job = Job(self)
         self.search = push_button(
@@ -138,6 +139,8 @@ class Finder(QWidget):
             with QSignalBlocker(box):
                 box.setValue(count)
             box.setVisible(choices.target == "chessboard")
+        if len(state.pairs) < self._pairs:
+            self._say("")  # what was found is no longer there
         self._show_busy(self.job.busy)
 
     def _show_busy(self, busy: bool) -> None:
@@ -162,5 +165,6 @@ class Finder(QWidget):
         self._say(as_sentence(sentence) if sentence else "Cancelled; no pairs were added.")
 
     def _say(self, words: str) -> None:
+        self._pairs = len(self._session.state.pairs)
         self.words.setText(words)
-        self.words.show()
+        self.words.setVisible(bool(words))

@@ -330,7 +330,7 @@ def next_step(quality: ModelQuality, depth_span_mm: float) -> str:
         them, far = "them" if len(wrong) > 1 else "it", max(p.residual_px for p in quality.pairs if p.id in wrong)
         return f"Click {listed(wrong)} again or remove {them}: the others contradict {them} by up to {far:.1f} px."
     if used < ADVISED_POINTS:
-        return f"Click at least {ADVISED_POINTS - used} more: with six the quality can be estimated."
+        return f"Click at least {ADVISED_POINTS - used} more: with fewer than six the quality is a guess."
     if shared:
         return quality.agreement.next_step()
     if quality.model == "rigid" and depth_span_mm < ADVISED_SPAN_MM:

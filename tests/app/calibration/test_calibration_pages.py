@@ -154,7 +154,7 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
 
     assert wizard.undo.toolTip() == "Undo Find 70 pairs (Ctrl+Z)"
     QTest.mouseClick(wizard.undo, LEFT)
-    assert not wizard.session.state.pairs
+    assert not wizard.session.state.pairs and not finder.words.isVisible()
     while wizard.undo.isEnabled():
         QTest.mouseClick(wizard.undo, LEFT)
     assert finder.target.currentText() == "Membrane texture" and not finder.columns.isVisible()
