@@ -245,7 +245,7 @@ class CalibrationWizard(QDialog):
             assert button is not None
             sign, status = ("!", attention) if attention else ("✓", "Done.") if self._done(step) else ("", "")
             button.setText(f"&{step + 1}  {name}  {sign}".strip())
-            button.setToolTip(f"{tip} (Ctrl+{step + 1})\n{status}".strip())
+            button.setToolTip(f"{sign} {status}\n{tip} (Ctrl+{step + 1})".strip())
             button.setAccessibleName(f"Step {step + 1}, {name}. {status}".strip())
         step, report = self.stack.currentIndex(), self.outcome.report
         missing = self._missing(step)

@@ -217,6 +217,5 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame, number: int) -> Non
         farthest = float(np.abs(change)[moved].max() / np.median(before[moved]))
         raise CalibrationError(
             f"the membrane moved while it should have been untouched: frame {number} differs from the first by up to "
-            f"{100 * farthest:.1f} % of the depth; remove what touches it, wait until its pressure is constant, and "
-            "start again"
+            f"{100 * farthest:.1f} % of the depth; let nothing touch it, wait for constant pressure, and start again"
         )

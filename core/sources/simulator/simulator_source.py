@@ -131,8 +131,7 @@ class SimulatorSource(SeekableSource):
         tactile = Shot(noise.tactile_depth(index, state.tactile), color, time_s)
         if not self.rig.has_proximity:
             return SensorFrame.of_shots(self.rig, index, None, tactile, self._seen_by_tactile(truth))
-        color = noise.colour(index, 0, state.proximity_color)
-        proximity = Shot(noise.proximity_depth(index, state), color, time_s)
+        proximity = Shot(noise.proximity_depth(index, state), noise.colour(index, 0, state.proximity_color), time_s)
         return SensorFrame.of_shots(self.rig, index, proximity, tactile._replace(time_s=time_s + _SKEW_S), truth)
 
     def _seen_by_tactile(self, truth: GroundTruth) -> GroundTruth:

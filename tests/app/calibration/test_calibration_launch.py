@@ -117,6 +117,7 @@ def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, s
     before = document.preset.alignment
     fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed, dots=range(0, 63, 16))))
     assert wizard.steps.button(SAVE).text().endswith("!")
+    assert wizard.steps.button(SAVE).toolTip().startswith("! The present alignment is expected to be better")
     QTest.mouseClick(wizard.save, LEFT)
     words = answer_question(qtbot, "Cancel")
     assert "px new" in words and "px present" in words
