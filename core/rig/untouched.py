@@ -166,11 +166,11 @@ def place_at_rest(source: FrameSource, progress: Progress) -> int:
         tiles = np.resize(tiles, (len(places), len(seen))) if number == 0 else tiles
         tiles[number] = seen
     mean = tiles.mean(axis=1)
-    changes = np.abs(np.diff(tiles, axis=0)) > _MOVED_SHARE * np.maximum(tiles[:-1], 1.0)
-    runs = [(0, 0)]  # first place, and number of places that follow without movement
-    for number, moves in enumerate(changes.mean(axis=1) > _MOVING_TILES):
+    runs = [(0, 0)]  # first place, and number of places that follow without movement, also not a slow one
+    for number in range(1, len(places)):
         start, count = runs[-1]
-        runs = [*runs, (number + 1, 0)] if moves else [*runs[:-1], (start, count + 1)]
+        moved = np.abs(tiles[number] - tiles[start]) > _MOVED_SHARE * np.maximum(tiles[start], 1.0)
+        runs = [*runs, (number, 0)] if moved.mean() > _MOVING_TILES else [*runs[:-1], (start, count + 1)]
     still = [run for run in runs if run[1] >= _STILL_PLACES] or [(int(np.argmax(mean)), 0)]
     farthest = max(mean[start] for start, _ in still)
     start, count = max((run for run in still if mean[run[0]] >= _AS_FAR * farthest), key=lambda run: run[1])

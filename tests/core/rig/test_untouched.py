@@ -143,16 +143,18 @@ def test_a_recording_holds_the_untouched_frame_of_its_preset(kept, tmp_path):
         load_untouched(record_of(preset), bare)
 
 
-def test_a_recording_is_searched_for_its_longest_rest():
+@pytest.mark.parametrize(("length", "slow"), [(100, 1), (60, 2)])  # the second moves little per frame, and ends at rest
+def test_a_recording_is_searched_for_its_longest_rest(length, slow):
     """A release, a rest, a press that bulges the membrane around it, and a press that is held longer than the rest."""
 
     def make(index, rig):
-        frame = tiny_frame(index, rig)
-        pushed = 20 * (10 - index) if index < 10 else 0 if index < 30 else 20 * (index - 30) if index < 40 else 200
+        frame, pushed = tiny_frame(index, rig), 0
+        if index < 10 * slow or index >= 30 * slow:
+            pushed = min(20 * abs(index - (10 if index < 20 * slow else 30) * slow) // slow, 200)
         depth = frame.tactile_depth.astype(np.int32)
         depth[:32, :32] -= pushed
         depth[32:] += pushed // 10
         return replace(frame, tactile_depth=depth.astype(np.uint16))
 
-    place = place_at_rest(FakeSource(100, make=make), lambda share, words: None)
-    assert 9 <= place <= 15
+    place = place_at_rest(FakeSource(length, make=make), lambda share, words: None)
+    assert 9 * slow <= place <= 15 * slow
