@@ -11,7 +11,6 @@ import typer
 
 from ...core.errors import CalibrationError
 from .common import (
-    CliProgress,
     PresetOption,
     UntouchedSource,
     average_frames,
@@ -92,8 +91,7 @@ def check(
         from ...core.rig.drift import check_rig  # after a wrong source was told
 
         if opened.length is not None:
-            with CliProgress() as progress:
-                opened.seek(place_at_rest(opened, progress.preparing))
+            opened.seek(place_at_rest(opened, lambda share, words: None))
         found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame, untouched)
     if found.state == "unknown":
         raise CalibrationError(found.sentence)
