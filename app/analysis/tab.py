@@ -123,7 +123,7 @@ class LiveTab(AnalysisTab):
         result, found = done
         if self.result is None or result.source is not self.result.source:
             return
-        self.status.setText(f"Frame {result.playback.index} of {result.source.name}")
+        self.status.setText(f"Frame {result.frame_number} of {result.source.name}")
         row = self.show_found(result, found)
         self.rows.pop(result.frame.sequence, None)  # as in a loop, the newest is the last
         if row is not None:

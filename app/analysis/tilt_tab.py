@@ -122,7 +122,7 @@ class TiltTab(LiveTab):
         self.roll.setText(f"Roll {degrees_text(tilt.roll_rad, tilt.roll_sigma_rad)}")
         self.pitch.setText(f"Pitch {degrees_text(tilt.pitch_rad, tilt.pitch_sigma_rad)}")
         self.axis.setText(f"Long axis {degrees_text(tilt.axis_rad, tilt.axis_sigma_rad)}")
-        hints = [f"Frame {result.playback.index} of {result.source.name}"]
+        hints = [f"Frame {result.frame_number} of {result.source.name}"]
         hints += [_NOT_DETERMINED] if len(points) and not len(lines) else []
         if result.preset.noise is None:
             hints.append("usual noise assumed: measure it (F6)")

@@ -265,7 +265,7 @@ class TuneTab(AnalysisTab):
         axes = tuple(self._axes[path] for path, box in self.fields.items() if box.isChecked())
         has_truth = result.frame.truth is not None
         objective = "rmse" if has_truth else "stability"
-        index = max(0, result.playback.index)
+        index = max(0, result.frame_number)
         frames = frames_of(self._context.trim, result.source.length, self.frames.value(), index, has_truth)
         request = Request(result.source.name, self._document.preset, axes, objective, frames, self.trials.value())
         try:

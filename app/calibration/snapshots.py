@@ -60,7 +60,7 @@ class SnapshotStep(MeasuringStep):
         if result is not None and result.source.rig != self._rig:
             self._fail("Another rig is open now: close the wizard, and calibrate that one.")
             return
-        self._number = 0 if result is None else result.playback.index
+        self._number = 0 if result is None else result.frame_number
         super().begin()
 
     def share(self, kept: Sequence[SensorFrame]) -> float:

@@ -86,7 +86,7 @@ class ForceWindow(QDialog):
         try:
             if result is None or result.patch is None:
                 raise CalibrationError("there is no patch yet; open a source first")
-            press = Press.of(result.patch, result.playback.index, self.force.value())
+            press = Press.of(result.patch, result.frame_number, self.force.value())
         except CalibrationError as error:
             self.note.say(as_sentence(str(error)), error=True)
             return

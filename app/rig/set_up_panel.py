@@ -295,7 +295,7 @@ class SetUpPanel(QWidget):
         if self._place is None:
             self._search.start(partial(_find_rest, info.name))
             return False
-        if result.playback.index == self._place:
+        if result.frame_number == self._place:
             return True
         self._waiting = True
         worker.pause()

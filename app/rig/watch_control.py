@@ -82,7 +82,7 @@ class WatchControl(QObject):
     def _check(self) -> None:
         document, result = self._context.document, self._context.result
         if self.window is not None and result is not None:
-            frame = replace(result.frame, sequence=result.playback.index)  # errors name frames by their numbers
+            frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
             self.window.check(document.preset, document.untouched_home, result.source.rig, frame)
 
     def _forget(self) -> None:

@@ -71,14 +71,14 @@ class Timeline(QObject):
         """Mark the first frame of a part; an out mark before it goes."""
         result = self._context.result
         if result is not None and (length := result.source.length) is not None:
-            index, (_, end) = result.playback.index, self._context.trim or (0, length)
+            index, (_, end) = result.frame_number, self._context.trim or (0, length)
             self._set_trim((index, end if end > index else length))
 
     def mark_out(self) -> None:
         """Mark the last frame of a part; an in mark behind it goes."""
         result = self._context.result
         if result is not None and result.source.length is not None:
-            index, (first, _) = result.playback.index, self._context.trim or (0, 0)
+            index, (first, _) = result.frame_number, self._context.trim or (0, 0)
             self._set_trim((first if first <= index else 0, index + 1))
 
     def clear_marks(self) -> None:
@@ -155,7 +155,7 @@ class Timeline(QObject):
         if result.source.length is None:
             self._note_live(result)
         elif self._pace.due(result):
-            self._strip.set_cursor(result.playback.index)
+            self._strip.set_cursor(result.frame_number)
 
     def _note_live(self, result: Result) -> None:
         now_s = time.monotonic()

@@ -106,7 +106,7 @@ class Animation(QObject):
         if result.source is not self._source:
             self._fail("another source was opened meanwhile; open the recording and export again")
             return
-        if result.playback.index != self._wanted:
+        if result.frame_number != self._wanted:
             self._context.worker.seek(self._wanted)
             return
         self._wanted = None

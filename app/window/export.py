@@ -67,7 +67,7 @@ class Export(QObject):
         if result is None:
             return
         filters = sorted(self.kinds(), key=lambda each: each != kind)
-        suggestion = f"{file_name(Path(split_topics(result.source.name)[0]).stem)}_{result.playback.index}"
+        suggestion = f"{file_name(Path(split_topics(result.source.name)[0]).stem)}_{result.frame_number}"
         self._context.dialogs.save_file("export", "Export", suggestion, filters, partial(self._export, result))
 
     def close(self) -> None:
@@ -110,7 +110,7 @@ class Export(QObject):
                 raise ExportError("this frame has no patch")
             write_cloud(path, patch_columns(result.patch, result.frame, result.source.rig))
             points = counted(len(result.patch.points), "point")
-            return f"Frame {result.playback.index}: {points} written to {path}."
+            return f"Frame {result.frame_number}: {points} written to {path}."
 
         return work
 

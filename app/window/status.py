@@ -115,7 +115,7 @@ class FrameStatus(QStatusBar):
         self._show_words()
 
     def show_result(self, result: Result) -> float:
-        """Count a frame as shown, and return the frames shown per second, anew every `INTERVAL_S` as the details."""
+        """Count a frame as shown; return the frames shown per second, renewed with the details every `INTERVAL_S`."""
         self._shown_rate.tick()
         if self._pace.due(result):
             self._shown_fps = self._shown_rate.rate()

@@ -218,7 +218,7 @@ class Result:
 
     @property
     def frame_number(self) -> int:
-        """Number of the frame in its source, counted from 0 as in files and commands; for tabs of other packages."""
+        """Number of the frame in its source, counted from 0 as in files and commands."""
         return self.playback.index
 
 

@@ -58,12 +58,11 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
                     f"gives {_size(now)}; choose a preset of this rig or calibrate a new one"
                 )
             same_camera = before.serial == now.serial or not (before.serial and now.serial)
+            same_unit = before.depth_unit_m == now.depth_unit_m
             differences = (
                 "" if same_camera else f"serial number {before.serial}, here {now.serial}",
                 _lens_difference(before.intrinsics, now.intrinsics),
-                ""
-                if before.depth_unit_m == now.depth_unit_m
-                else f"depth unit {before.depth_unit_m:g} m, here {now.depth_unit_m:g} m",
+                "" if same_unit else f"depth unit {before.depth_unit_m:g} m, here {now.depth_unit_m:g} m",
             )
             if any(differences):
                 words = "; ".join(filter(None, differences))

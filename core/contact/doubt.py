@@ -27,7 +27,7 @@ from ..model.clouds import pixel_areas_m2, valid_depth
 from ..model.frames import SensorFrame
 from ..model.patch import SURE, Boundary, Candidates, Doubt, DoubtOf, Lazy, MembraneFacts, PressureFacts
 from .membrane.equilibrium import LIMITS_PER_M
-from .membrane.frame_bias import rig_bias
+from .membrane.frame_bias import RigBias, rig_bias
 
 if TYPE_CHECKING:
     from ..preset import Preset
@@ -78,7 +78,8 @@ class DoubtEstimator:
         self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None, pressure: PressureFacts | None = None
     ) -> DoubtOf:
         """Return a function that tells the `Doubt` about one contact of a frame."""
-        whole = Lazy(lambda: self._whole_frame(frame, preset, facts))
+        known = rig_bias(preset.noise, self._pixels.rig)
+        whole = Lazy(lambda: self._whole_frame(frame, preset, facts, known))
         moved = Lazy(lambda: self._dents_m(frame, _GRID))
 
         def doubt_of(contact: Candidates) -> Doubt:
@@ -87,7 +88,7 @@ class DoubtEstimator:
                 reasons = (*reasons, "membrane deflated")
             if not len(contact):
                 return Doubt(0.0, math.nan, reasons)
-            odds += math.log(self._bias_odds(preset, facts, float(contact.points[:, 2].mean())))
+            odds += math.log(self._bias_odds(preset, facts, known, float(contact.points[:, 2].mean())))
             area_m2 = float(pixel_areas_m2(contact.points[:, 2], self._pixels.rig.proximity.intrinsics).sum())
             evidence = 0.0
             if self._pixels.untouched is not None:
@@ -95,7 +96,7 @@ class DoubtEstimator:
                 if abs(behind_m) < _ALIKE_M and preset.test.needs_proximity:
                     evidence, reasons = -_MAX_EVIDENCE, (*reasons, "print or dirt")
                 elif not math.isnan(dent_m):
-                    evidence = self._dent_evidence(preset, dent_m, seen_m2, elsewhere_m)
+                    evidence = _dent_evidence(preset, known, dent_m, seen_m2, elsewhere_m)
                     reasons = (*reasons, "no dent") if evidence < 0 else reasons
             if pressure is not None:
                 evidence, doubts = _pressure_evidence(contact, pressure, evidence)
@@ -114,11 +115,11 @@ class DoubtEstimator:
         return doubt_of
 
     def _whole_frame(
-        self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None
+        self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None, known: RigBias
     ) -> tuple[float, tuple[str, ...], float]:
         """Return the logarithm of a factor on the odds, reasons for doubt, and the boundary error, mm."""
         reasons = []
-        if (facts is None or not facts.bias_seen) and (reason := self._wrong_bias(frame, preset)):
+        if (facts is None or not facts.bias_seen) and (reason := self._wrong_bias(frame, preset, known)):
             reasons.append(reason)
         wrong = ["cameras moved"] if self._cameras_moved else []
         if facts is not None and not LIMITS_PER_M[0] <= facts.curvature_per_m <= LIMITS_PER_M[1]:
@@ -135,11 +136,10 @@ class DoubtEstimator:
             reasons.append("too little depth")
         return len(wrong) * math.log(_WRONG_ODDS), (*reasons, *wrong), 1e3 * boundary.error_m
 
-    def _bias_odds(self, preset: Preset, facts: MembraneFacts | None, distance_m: float) -> float:
+    def _bias_odds(self, preset: Preset, facts: MembraneFacts | None, known: RigBias, distance_m: float) -> float:
         """Return the odds of a touch at a distance before any dent is seen."""
         if not preset.test.needs_proximity:
             return _NO_BIAS_ODDS
-        known = rig_bias(preset.noise, self._pixels.rig)
         passing_m = math.sqrt(2 / math.pi) * preset.test.accepted_share(preset, distance_m) * distance_m
         sigma_m = math.hypot(known.mean_m, known.sigma_m, passing_m) if facts is None else facts.bias_sigma_m
         return _NEAR_M / (math.sqrt(math.pi / 2) * sigma_m)
@@ -150,11 +150,10 @@ class DoubtEstimator:
         seen = np.empty(0, np.bool_) if before is None else valid_depth(before.tactile_depth[_GRID])
         return float(np.mean(~valid_depth(tactile[_GRID])[seen])) if seen.any() else 0.0
 
-    def _wrong_bias(self, frame: SensorFrame, preset: Preset) -> str:
+    def _wrong_bias(self, frame: SensorFrame, preset: Preset, known: RigBias) -> str:
         """Return what is wrong with the bias that is known before a frame is seen, in words; empty if nothing is."""
         if not preset.test.needs_proximity:
             return ""
-        known = rig_bias(preset.noise, self._pixels.rig)
         if not known.measured:
             return "bias unknown"
         if preset.contact_test == "membrane" and preset.membrane.bias:
@@ -191,20 +190,6 @@ class DoubtEstimator:
         farther_m = median(np.nan_to_num(behind_m, nan=1.0))
         return _middle_mean(self._dents_m(frame, box)), area_m2, _middle_mean(elsewhere_m), farther_m
 
-    def _dent_evidence(self, preset: Preset, dent_m: float, area_m2: float, elsewhere_m: float) -> float:
-        """Return the logarithm of how much likelier a dent makes a touch than if none could be seen."""
-        known = rig_bias(preset.noise, self._pixels.rig)
-        frames = 2 - (0.0 if preset.noise is None else preset.noise.tactile.changing_share)  # the untouched is averaged
-        tactile_m4 = (1 - known.tactile_weight) * known.noise_m4
-        noise_m2 = frames / (area_m2 / tactile_m4 + 1 / known.pixel_sigma_m**2)
-        elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
-        sigma_m = math.sqrt(noise_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2)
-        sigmas = max(dent_m - elsewhere_m, 0.0) / sigma_m
-        deeper = (1 + math.erf(sigmas / math.sqrt(2))) / 2
-        depths_m = min(math.sqrt(2 * math.pi) * sigma_m * deeper, _NEAR_M)  # that agree with the dent
-        evidence = math.log(depths_m / _NEAR_M) + sigmas**2 / 2
-        return min(evidence, _MAX_EVIDENCE)
-
     def _dents_m(self, frame: SensorFrame, where: Any) -> Float32Array:
         """Return how far the membrane has moved towards the camera; there is an untouched frame."""
         assert self._pixels.untouched is not None
@@ -234,6 +219,20 @@ def _middle_mean(values: Float32Array) -> float:
     known = np.sort(values[np.isfinite(values)])
     middle = known[len(known) // 4 : len(known) - len(known) // 4]
     return float(middle.mean()) if len(middle) else math.nan
+
+
+def _dent_evidence(preset: Preset, known: RigBias, dent_m: float, area_m2: float, elsewhere_m: float) -> float:
+    """Return the logarithm of how much likelier a dent makes a touch than if none could be seen."""
+    frames = 2 - (0.0 if preset.noise is None else preset.noise.tactile.changing_share)  # the untouched is averaged
+    tactile_m4 = (1 - known.tactile_weight) * known.noise_m4
+    noise_m2 = frames / (area_m2 / tactile_m4 + 1 / known.pixel_sigma_m**2)
+    elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
+    sigma_m = math.sqrt(noise_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2)
+    sigmas = max(dent_m - elsewhere_m, 0.0) / sigma_m
+    deeper = (1 + math.erf(sigmas / math.sqrt(2))) / 2
+    depths_m = min(math.sqrt(2 * math.pi) * sigma_m * deeper, _NEAR_M)  # that agree with the dent
+    evidence = math.log(depths_m / _NEAR_M) + sigmas**2 / 2
+    return min(evidence, _MAX_EVIDENCE)
 
 
 def _pressure_evidence(contact: Candidates, facts: PressureFacts, dent: float) -> tuple[float, tuple[str, ...]]:

@@ -37,7 +37,7 @@ MIN_FRAMES: Final = 10
 _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 _LENGTHS_PX: Final = np.geomspace(0.8, 64.0, 60)
 #: Side of the windows with a smooth surface, pixels: the first, or this multiple of the correlation length if that is
-#: larger, up to the last.
+#: larger, up to the third; in small images smaller, down to the last.
 _TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX, _LEAST_TILE_PX = 48, 6.0, 144, 4
 #: Share of a window's pixels that need a depth, and share of the frames in which a pixel needs one.
 _MIN_FILLED, _MIN_SEEN = 0.85, 0.8

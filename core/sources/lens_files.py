@@ -254,7 +254,7 @@ def _parse(text: str, suffix: str) -> Any:
             raise ValueError(f"it has more than {_MAX_NESTING} brackets in brackets")
         first = re.split(r"(?m)^---.*$", text.removeprefix("---"))[0]
         loaded = YAML(typ="safe", pure=True).load(io.StringIO(first))
-        if len(list(islice(_values(loaded), len(text)))) == len(text) > 0:
+        if sum(1 for _ in islice(_values(loaded), len(text))) == len(text) > 0:
             raise ValueError("its aliases stand for more values than it has letters")
         return loaded
     return _of_text(text)

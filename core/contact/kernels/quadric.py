@@ -14,7 +14,7 @@ CELL_PX: Final = 8
 #: Powers of x and y of the coefficients.
 POWERS: Final = np.array(((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-#: What is left of a diagonal element, of itself, where a window tells no more.
+#: A window determines no fit where a diagonal element keeps less than this share of itself in the elimination.
 _SINGULAR: Final = np.float32(1e-6)
 # a check for division by zero keeps loops from working on several cells
 _fast_kernel = partial(kernel, error_model="numpy")

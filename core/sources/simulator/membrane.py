@@ -550,7 +550,9 @@ class Membrane:
 
     def surface(self, nodes: Float64Array) -> Float64Array:
         """Return the outer surface, folds included, (N, 3)."""
-        return np.asarray(nodes + np.outer(self.mesh.relief_m, (0.0, 0.0, 1.0)))
+        surface = nodes.copy()
+        surface[:, 2] += self.mesh.relief_m
+        return surface
 
     def at(self, flat: Float64Array, nodes: Float64Array) -> Float64Array:
         """Return the present positions, (M, 3), of points of the flat sheet, (M, 2), interpolated between nodes."""
@@ -594,7 +596,8 @@ def contact_share(membrane: Membrane, state: MembraneState, kind: int, pose: Flo
     thing, laid = _Object(kind, pose, mesh.relief_m), state.nodes.copy()
     _lay(thing, laid, beside)
     gradient = membrane.gradient(laid)
-    for n in np.flatnonzero(touching & _beside(~touching, membrane.design.cells)).tolist():
+    edge = touching & _beside(~touching, membrane.design.cells)
+    for n in np.flatnonzero(edge).tolist():
         nx, ny, nz = _normal(thing, laid, n)
         whole = gradient[n, 0] * nx + gradient[n, 1] * ny + gradient[n, 2] * nz
         share[n] = state.reaction_n[n] / whole if whole > state.reaction_n[n] else 1.0
