@@ -144,7 +144,9 @@ class Feed:
 
     def deliver(self, frame, playback):
         self.context.playback = playback
-        self.context.result = SimpleNamespace(source=self.info, frame=frame, playback=playback)
+        self.context.result = SimpleNamespace(
+            source=self.info, frame=frame, playback=playback, frame_number=playback.index
+        )
         self.context.frameShown.emit()
         self.context.worker.recorder.put(frame)
 
