@@ -92,7 +92,7 @@ class ViewArea(QWidget):
         self.colors = ColorBy.CONTACT  # as chosen, also while the frames on the screen have no pressure
         self._offer_colors(with_pressure=False)
         self.color_by.currentIndexChanged.connect(lambda _: self.choose_colors(self.color_by.currentData()))
-        tip = "Point size in pixels; one or two more where that closes gaps"
+        tip = "Point size in pixels; larger where that closes gaps"
         self.point_size = named(QSlider(Qt.Orientation.Horizontal), "Point size", tip)
         self.point_size.setRange(*POINT_SIZES)
         self.point_size.setValue(2)

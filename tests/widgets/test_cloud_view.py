@@ -32,6 +32,9 @@ from tactune.widgets.clouds.cloud_canvas import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.view_camera import ViewCamera
 
+#: With this lens points are denser than the screen; with that of `red_wall` far apart.
+DENSE = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=319.5, cy=239.5)
+
 
 @dataclass
 class Sparse:
@@ -48,15 +51,16 @@ def sparse_cloud():
     pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
     pose[:3, 3] = (-0.03, 0.01, 0.02)
     colors = [(255, 0, 0), (0, 160, 0), (0, 0, 255), (200, 0, 200), (0, 150, 150), (120, 60, 0)]
-    pixels = [(20, 10), (40, 12), (31, 23), (50, 40), (28, 35), (60, 5)]
-    depth, index = np.zeros((48, 64), np.uint16), np.zeros((48, 64), np.uint8)
+    pixels = [(200, 100), (400, 120), (310, 230), (500, 400), (280, 350), (600, 50)]
+    depth, index = np.zeros((480, 640), np.uint16), np.zeros((480, 640), np.uint8)
     points = []
     for row, (u, v) in enumerate(pixels):
         depth[v, u] = 240 + 20 * row
         index[v, u] = row
         z = 1.1 * 0.001 * (240 + 20 * row) - 0.02
-        points.append(pose[:3, :3] @ ((u - 31.5) / 46 * z, (v - 23.5) / 46 * z, z) + pose[:3, 3])
-    cloud = cloud_of(depth, index=index, lut=colored(*colors), pose=pose, depth_scale=1.1, depth_offset_m=-0.02)
+        points.append(pose[:3, :3] @ ((u - 319.5) / 460 * z, (v - 239.5) / 460 * z, z) + pose[:3, 3])
+    look = {"rays": DENSE.rays(), "index": index, "lut": colored(*colors), "depth_range_m": (0.2, 0.4)}
+    cloud = cloud_of(depth, **look, pose=pose, depth_scale=1.1, depth_offset_m=-0.02)
     return Sparse(cloud, colors, np.array(points))
 
 
@@ -135,7 +139,6 @@ def test_the_nearer_point_wins(view, nearer_first, behind):
 
 def dense_cloud(every=1, holes=True):
     """A stepped red and green wall of 640 x 480 pixels, denser than the screen, or every n-th row and column of it."""
-    lens = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=319.5, cy=239.5)
     v, u = np.mgrid[:480, :640]
     depth = np.uint16(300) + 20 * ((u // 2 // 40) % 2).astype(np.uint16)
     if holes:
@@ -143,7 +146,7 @@ def dense_cloud(every=1, holes=True):
     part = np.s_[::every, ::every]
     return cloud_of(
         depth[part],
-        rays=lens.rays()[part],
+        rays=DENSE.rays()[part],
         index=((u // 32 + v // 32) % 2).astype(np.uint8)[part],
         lut=colored(RED, GREEN),
         depth_range_m=(0.25, 0.35),
@@ -216,7 +219,8 @@ def test_the_scene_follows_the_hand(view):
     assert (picture(view) != seen).any()
 
 
-def test_the_wheel_zooms_about_the_cursor(view):
+def test_the_wheel_zooms_about_the_cursor_and_surfaces_stay_closed(view):
+    view.set_cloud(red_wall())
     view.set_camera(FRONT)
     canvas = canvas_of(view)
     size = canvas.width(), canvas.height()
@@ -225,6 +229,7 @@ def test_the_wheel_zooms_about_the_cursor(view):
     turn_wheel(canvas, QPointF(u, v), 2, view)
     assert view.camera().distance < FRONT.distance
     np.testing.assert_allclose(view.camera().project([point], *size)[0, :2], (u, v), atol=0.01)
+    assert (picture(view) == RED).all(axis=2).mean() > 0.98, "all but the axes"
     turn_wheel(canvas, QPointF(u, v), -2, view)
     assert view.camera().distance == pytest.approx(FRONT.distance)
 

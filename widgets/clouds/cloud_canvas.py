@@ -196,8 +196,8 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points as a share of their size: they overlap.
 _APART = 0.75
-#: How many pixels points grow to close gaps, as on large screens.
-_MORE = 2
+#: Edge length in pixels up to which points grow to close gaps, as in a view zoomed to the patch.
+_MAX_CLOSING = 16
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
@@ -207,7 +207,7 @@ class Look(NamedTuple):
 
     camera: ViewCamera
     size: tuple[int, int]  # Width and height
-    point_size: int  # Edge length of a point, up to _MORE more where that closes the gaps between them
+    point_size: int  # Edge length of a point, more where that closes the gaps between them
     background: tuple[int, int, int]
     running: bool  # Frames follow each other, so points that would hide each other are left out
 
@@ -275,22 +275,23 @@ class SoftwareRenderer:
 def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
     """Return the step between the rows and columns that are drawn, and the edge length of their points.
 
-    Points are up to `_MORE` pixels larger if they then overlap in the centre of the view, at the far end of the
-    colours. While frames follow each other, every other row and column is left out if the rest overlaps.
+    Points grow until they overlap in the centre of the view, at the depth of the camera's target and at the far end of
+    the colours. While frames follow each other, every other row and column is left out if the rest overlaps.
     """
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
         return 1, look.point_size
     v, u = height // 2 - 1, width // 2 - 1
     rays = np.array([(*cloud.rays[v + down, u + right], 1.0) for down, right in ((0, 0), (0, 1), (1, 0))])
-    places = cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3]
-    seen = look.camera.project(places, *look.size)
-    needed = float(np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()) / _APART
-    if not (seen[:, 2] > 0).all():
-        return 1, look.point_size
+    target_m = float(cloud.pose[:3, 2] @ (look.camera.target - cloud.pose[:3, 3]))
+    needed = 1.0
+    for depth_m in (target_m, cloud.depth_range_m[1]):
+        places = depth_m * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3]
+        seen = look.camera.project(places, *look.size)
+        if (seen[:, 2] > 0).all():
+            needed = max(needed, float(np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()) / _APART)
     step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
-    closing = math.ceil(step * needed)
-    return step, closing if look.point_size < closing <= look.point_size + _MORE else look.point_size
+    return step, max(look.point_size, min(math.ceil(step * needed), _MAX_CLOSING))
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
