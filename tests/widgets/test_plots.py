@@ -91,6 +91,12 @@ def test_a_click_means_the_nearest_frame(strip, sought):
     assert sought == [0, 120, N - 1]
 
 
+def test_numbers_beside_the_strip_have_room(strip):
+    axis = strip.plot_widget.getPlotItem().getAxis("left")
+    numbers = {each for _, ticks in axis.tickValues(*axis.range, axis.height()) for each in ticks}
+    assert 2 <= len(numbers) <= 3
+
+
 def test_what_the_pointer_tells_is_seen(strip):
     before = strip.grab().toImage()
     QTest.mouseMove(strip.plot_widget.viewport(), strip_position(strip, 120).toPoint())

@@ -175,7 +175,6 @@ class TimeStrip(QWidget):
         plot.setMouseEnabled(x=True, y=False)
         plot.setContentsMargins(0, _TOP_PX, 8, 0)
         plot.getAxis("left").setWidth(_AXIS_PX)
-        plot.getAxis("left").setTickDensity(0.5)
         plot.getAxis("bottom").setHeight(17)
         self._box = plot.getViewBox()
         self._outside = [pg.LinearRegionItem(movable=False) for _ in range(2)]
@@ -269,8 +268,10 @@ class TimeStrip(QWidget):
         self._line.setData(self.seconds[known], shown[known], connect=joined)
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
         height = 1.0 if curve.key == "iou" or top == 1.0 else 1.08 * top
-        axis = self._plot.getAxis("left")
-        axis.setTickSpacing(*((0.5, 0.5) if height == 1.0 else ()))  # its own would write five numbers over each other
+        # three numbers at most: pyqtgraph's own would stand over each other
+        power = 10.0 ** math.floor(math.log10(height / 3))
+        spacing = next(each for factor in (1, 2, 5, 10) if (each := factor * power) >= height / 3)
+        self._plot.getAxis("left").setTickSpacing(spacing, spacing)
         self._box.setYRange(0.0, height, padding=0)
 
     def _place_cursor(self) -> None:
