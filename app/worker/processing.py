@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
-from ...core.errors import TactuneError, as_sentence
+from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.patch import Doubt
 from ...core.preset import Preset
@@ -137,10 +137,11 @@ class FrameProcessor:
         render_ms = 1e3 * (time.perf_counter() - started)
         self._processed += 1
         patch = self._present.patch
-        if patch is None or self._doubt is None:
-            self._doubt = None if patch is None else patch.doubt
-        elif wanted.words or bool(len(patch.points)) != bool(self._doubt.touch_probability):  # contact began or ended
-            self._doubt = patch.doubt
+        if patch is None:
+            self._doubt = None
+        elif self._doubt is None or wanted.words or bool(len(patch.points)) != bool(self._doubt.touch_probability):
+            # the last: contact began or ended
+            self._doubt = told_doubt(patch)
         return Result(
             source=info,
             frame=frame,
@@ -212,3 +213,13 @@ class FrameProcessor:
     def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
         rendered = self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)
         return replace(rendered, no_contact=finder.waiting) if finder.waiting else rendered
+
+
+def told_doubt(patch: ContactPatch) -> Doubt:
+    """Return the doubt about a patch; a reason that holds for some of its contacts only is told with their areas."""
+    told, count = [], len(patch.contacts)
+    for reason in patch.doubt.reasons:
+        areas = [f"{each.area_mm2:,.0f}" for each in patch.contacts if reason in each.doubt.reasons]
+        of = f" ({counted(len(areas), 'contact')} of {count}: {', '.join(areas)} mm²)"
+        told.append(reason + of if len(areas) < count else reason)
+    return patch.doubt._replace(reasons=tuple(told))

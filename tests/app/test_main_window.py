@@ -17,7 +17,7 @@ from tactune.app.window import help as help_menu
 from tactune.app.window.status import FrameStatus, patch_readings
 from tactune.app.window.toolbar import FrameNumber
 from tactune.app.worker.playback import PlaybackState
-from tactune.app.worker.processing import FrameProcessor
+from tactune.app.worker.processing import FrameProcessor, told_doubt
 from tactune.app.worker.reading import SourceRequest
 from tactune.app.worker.results import CloudName, ColorBy, SourceInfo, SourceState, Wanted
 from tactune.core.errors import SourceError
@@ -282,3 +282,15 @@ def test_a_first_contact_is_judged_at_once_while_frames_play():
     at_rest = processor.process(info, contact, preset, Wanted(), PlaybackState()).doubt
     first, second, third = (doubt.touch_probability for doubt in judged)
     assert first == 0.0 < second == third == at_rest.touch_probability
+
+
+def test_a_doubt_about_one_of_several_contacts_says_which():
+    info = SourceInfo("press", small_rig(64), 1, 30.0)
+    frame = noisy_press(0, info.rig, 1, with_truth=False).next_frame()
+    frame = replace(frame, proximity_depth=np.where(np.arange(64) // 2 == 10, np.uint16(0), frame.proximity_depth))
+    preset = Preset(contact_test="tolerance")
+    patch = FrameProcessor().process(info, frame, preset, Wanted(), PlaybackState()).patch
+    small = patch.contacts[1]
+    doubt_of = lambda part: Doubt(0.5, 1.0, ("no dent",) if len(part) == len(small.members) else ())
+    [told] = told_doubt(replace(patch, doubt_of=doubt_of)).reasons
+    assert told == f"no dent (1 contact of 2: {small.area_mm2:,.0f} mm²)"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
@@ -29,23 +28,14 @@ from seen_clouds import (
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.widgets.basics.overlays import Wipe
 from tactune.widgets.clouds.cloud_canvas import CloudCanvas, SoftwareRenderer
-from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 #: With this lens points are denser than the screen; with that of `red_wall` far apart.
 DENSE = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=319.5, cy=239.5)
 
 
-@dataclass
-class Sparse:
-    """A few points of distinct colours, and where each lies in the view's frame."""
-
-    cloud: DepthCloud
-    colors: list[tuple[int, int, int]]
-    points: npt.NDArray[np.float64]
-
-
 def sparse_cloud():
+    """A few points of distinct colours, and where each lies in the view's frame."""
     angle = 0.2
     pose = np.eye(4)
     pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
@@ -61,7 +51,7 @@ def sparse_cloud():
         points.append(pose[:3, :3] @ ((u - 319.5) / 460 * z, (v - 239.5) / 460 * z, z) + pose[:3, 3])
     look = {"rays": DENSE.rays(), "index": index, "lut": colored(*colors), "depth_range_m": (0.2, 0.4)}
     cloud = cloud_of(depth, **look, pose=pose, depth_scale=1.1, depth_offset_m=-0.02)
-    return Sparse(cloud, colors, np.array(points))
+    return cloud, colors, np.array(points)
 
 
 def seen_at(camera, point, width, height):
@@ -87,18 +77,15 @@ def seen_at(camera, point, width, height):
 @pytest.mark.parametrize("point_size", [1, 2, 3, 4])
 @pytest.mark.parametrize("azimuth", [-0.5, 0.0, 0.9])
 def test_points_are_drawn_where_numpy_deprojects_them(view, azimuth, point_size):
-    sparse = sparse_cloud()
-    view.set_cloud(sparse.cloud)
+    cloud, colors, points = sparse_cloud()
+    view.set_cloud(cloud)
     view.set_point_size(point_size)
     view.set_camera(ViewCamera((0.0, 0.0, 0.3), 0.8, azimuth, 0.4))
-    np.testing.assert_allclose(
-        sparse.points[np.lexsort(sparse.points.T)],
-        sparse.cloud.points()[np.lexsort(sparse.cloud.points().T)],
-        atol=1e-6,
-    )
+    found = cloud.points()
+    np.testing.assert_allclose(points[np.lexsort(points.T)], found[np.lexsort(found.T)], atol=1e-6)
     image = picture(view)
     height, width = image.shape[:2]
-    for color, point in zip(sparse.colors, sparse.points, strict=True):
+    for color, point in zip(colors, points, strict=True):
         pixels = pixels_of(image, color)
         assert len(pixels) == point_size**2, f"{color} is a whole square"
         u, v = seen_at(view.camera(), point, width, height)

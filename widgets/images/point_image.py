@@ -187,12 +187,12 @@ class PointImage(ImagePane):
         if event.button() != Qt.MouseButton.LeftButton:
             return False
         self._pressed_at = event.position()
-        mark = None if self.awaits_point else self.layer.mark_at(event.position())
-        if mark is None:
+        self._held, self._held_moves = self.layer.mark_at(event.position()), False
+        if self._held is None:
             return False
-        self._held, self._held_moves = mark, False
-        self._grip = self.screen_place(mark.u, mark.v) - event.position()
-        self.pressed.emit(mark.key, event.modifiers())
+        self._grip = self.screen_place(self._held.u, self._held.v) - event.position()
+        if not self.awaits_point:
+            self.pressed.emit(self._held.key, event.modifiers())
         return True
 
     def _move(self, event: QMouseEvent) -> bool:
@@ -210,14 +210,12 @@ class PointImage(ImagePane):
         held, moves = self._held, self._held_moves
         clicked = self._pressed_at is not None and not self._went_far(event.position())
         self._held, self._pressed_at = None, None
-        if held is not None:
-            if moves:
-                self.dragged.emit(held.key, *self.image_place(event.position() + self._grip), True)
-            return True
         place = self.image_place(event.position())
-        if clicked and self._inside(place):
+        if held is not None and moves:
+            self.dragged.emit(held.key, *self.image_place(event.position() + self._grip), True)
+        elif clicked and self._inside(place) and (held is None or self.awaits_point):
             self.placed.emit(*place, event.modifiers())
-        return False
+        return held is not None
 
     def _went_far(self, position: QPointF) -> bool:
         offset = position - (self._pressed_at or position)

@@ -126,15 +126,18 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     QTest.keyClick(wizard, Qt.Key.Key_Z, CONTROL)
     assert state().pairs[-1].proximity == nudged
 
-    # While the partner is awaited, a click beside another point places it and selects nothing else
+    # While the partner is awaited, others can be dragged; a click beside one places it and selects nothing else
     hand.click(left, places[0.2][0][25])
+    before = state().pairs[9].tactile
+    hand.drag(right, before, (before[0] + 30, before[1] + 9))
+    assert state().pending is not None and np.hypot(*(np.array(state().pairs[9].tactile) - before)) > 20
     hand.click(right, places[0.2][1][40] + np.array((1.0, 1.0)))
     assert state().pending is None
     assert wizard.session.selected == (state().pairs[-1].id,) == ("11",)
     np.testing.assert_allclose(state().pairs[-1].tactile, places[0.2][1][40], atol=0.12)
-    for _ in range(2):
+    for _ in range(3):
         QTest.keyClick(wizard, Qt.Key.Key_Z, CONTROL)
-    assert len(state().pairs) == 10
+    assert len(state().pairs) == 10 and state().pairs[9].tactile == before
 
     # Quality with the model, save
     qtbot.waitUntil(lambda: not wizard.fitter.job.busy)
