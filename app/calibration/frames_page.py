@@ -42,11 +42,12 @@ class FramesPage(QWidget):
         self.take, self.note = self.step.start, self.step.sentence
         self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
         self._listed: tuple[str, ...] = ()
+        self._looked_at: Snapshot | None = None  # in place of the newest frame
         self._redraw = timer(self, _PREVIEW_MS, self._show_frame, once=True)
         self.note.setText(_ADVICE)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.list = named(QListWidget(), "Snapshots", "The snapshots taken; points are clicked in the selected one")
+        self.list = named(QListWidget(), "Snapshots", "Click one to see it; points are clicked in the selected one")
         self.list.setSpacing(4)
         self.remove = push_button("Re&move", "Remove the snapshot and the points clicked in it; undo restores both")
         self._lay_out()
@@ -74,10 +75,12 @@ class FramesPage(QWidget):
     def _connect(self) -> None:
         session, step = self._session, self.step
         self._context.frameShown.connect(self._frame_shown)
+        step.start.pressed.connect(lambda: self._look_at(None))
         step.start.clicked.connect(lambda: self.running.setVisible(step.busy))
         step.ended.connect(self._ended)
         session.changed.connect(self._show_state)
         self.list.currentRowChanged.connect(self._chosen)
+        self.list.itemClicked.connect(lambda _: self._look_at(session.state.snapshot))
         self.remove.clicked.connect(lambda: session.remove_snapshot(session.state.choices.snapshot))
 
     # Display
@@ -88,9 +91,12 @@ class FramesPage(QWidget):
 
     def _show_frame(self) -> None:
         result, rig = self._context.result, self._session.rig
-        if result is None or result.source.rig != rig:
+        if self._looked_at is not None:
+            frame = self._looked_at.frame
+        elif result is not None and result.source.rig == rig:
+            frame = result.frame
+        else:
             return
-        frame = result.frame
         for (side, image), pane in self.previews.items():
             if image == "color" and side == "tactile" and frame.tactile_color is None:
                 pane.set_pixels(None, (640, 480), 1)
@@ -106,6 +112,7 @@ class FramesPage(QWidget):
         with QSignalBlocker(self.list):
             if state.digests != self._listed:
                 self._listed = state.digests
+                self._look_at(None)
                 self.list.clear()
                 self.list.addItems(map(self._words, state.snapshots))
             self.list.setCurrentRow(-1 if state.number is None else state.number)
@@ -122,6 +129,15 @@ class FramesPage(QWidget):
         if snapshot.source not in {"", self._context.source_name}:
             words += f"\n{snapshot.source}"
         return words
+
+    def _look_at(self, snapshot: Snapshot | None) -> None:
+        """Show a snapshot, or the newest frame: without one, or when the one that is shown is clicked again."""
+        before, self._looked_at = self._looked_at, None if snapshot is self._looked_at else snapshot
+        if self._looked_at is not None:
+            self.note.setText(f"{self._looked_at.name}, as taken. Click it again to see the newest frame.")
+        elif before is not None:
+            self.note.setText(_ADVICE)
+        self._show_frame()
 
     def _ended(self, taken: bool) -> None:
         self.running.hide()

@@ -238,11 +238,7 @@ def test_the_numbers_say_how_sure_the_patch_is_and_why(bar):
 
 def test_the_state_is_said_in_a_word_or_two(bar):
     said = []
-    for state in (
-        PlaybackState(length=8, playing=True),
-        PlaybackState(length=8),
-        PlaybackState(playing=True),
-    ):
+    for state in (PlaybackState(length=8, playing=True), PlaybackState(length=8), PlaybackState(playing=True)):
         bar.show_playback(state)
         said.append(bar.state.text())
     assert said == ["Playing", "Paused", "Live"]

@@ -190,8 +190,13 @@ def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
     assert wizard.steps.button(2).text().endswith("!")
     wizard.go_to(0)
     taken, kept = wizard.session.state.snapshots
-    wizard.frames.list.setCurrentRow(0)
-    QTest.mouseClick(wizard.frames.remove, LEFT)
+    page, images = wizard.frames, []
+    for _ in range(3):
+        images.append(page.previews["tactile", "depth"].grab().toImage())
+        QTest.mouseClick(page.list.viewport(), LEFT, pos=page.list.visualItemRect(page.list.item(1)).center())
+    assert images[0] == images[2] != images[1] and "as taken" in page.note.text(), "shown, no longer, and shown again"
+    page.list.setCurrentRow(0)
+    QTest.mouseClick(page.remove, LEFT)
     left = wizard.session.state
     assert {left.snapshot_of(pair) for pair in left.pairs} == {kept} and taken not in left.snapshots
     assert wizard.undo.toolTip() == "Undo Remove a snapshot (Ctrl+Z)"
