@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy import int64
 
-from ...model.arrays import Float32Array, Uint8Array, Uint16Array
+from ...model.arrays import Float32Array, Float64Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, Rig
 from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
@@ -83,6 +83,15 @@ class _TofErrors(NamedTuple):
     shared: _SharedNoise
 
 
+class _TofRow(NamedTuple):
+    """Scratch for the pixels of one image row: the depth that is measured, and what scales its noise."""
+
+    z: Float64Array  # metres
+    growth: Float64Array
+    white_sigma_m: Float32Array
+    shared_sigma_m: Float32Array
+
+
 class _StereoErrors(NamedTuple):
     """Errors of a stereo camera, which are those of its disparity."""
 
@@ -144,36 +153,45 @@ def _across_edge(depth: Uint16Array, v: int, u: int, z: float) -> float:
 
 
 @compiled
-def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_m: float, out: Uint16Array) -> None:
+def _measure_tof(
+    random: _Random, images: _TofImages, errors: _TofErrors, drift_m: float, row: _TofRow, out: Uint16Array
+) -> None:
     """Fill in the counts of a time-of-flight camera.
 
     It measures ``scale z + level (bias + drift) + growth(z) (white_sigma white + shared_sigma shared)``.
     """
-    behind, level = images.behind, errors.level
+    behind = images.behind
     height, width = behind.shape
     moved = _displacement(errors.shared.moving, random, _TOF_MOVING)
+    fixed_sigma, moving_sigma = errors.shared.fixed_sigma, errors.shared.moving_sigma
+    prints_hide = errors.level > 0.0 and errors.prints_reflect
+    z, growth, white_sigma_m, shared_sigma_m = row
     for v in range(height):
         # Twice the width: a second uniform number per pixel says how a flying pixel mixes both sides.
         white = random.gaussian[_row_start(random, _TOF_WHITE, v, 2 * width) :]
         uniform = random.uniform[_row_start(random, _TOF_UNIFORM, v, 2 * width) :]
         fixed, moving = _shared_rows(errors.shared, v, moved)
+        bias_m, counts = errors.bias_m[v], out[v]
+        # Loops with branches and tables beside loops without, which the compiler vectorises.
         for u in range(width):
-            cosine = images.cosine[v, u]
-            if behind[v, u] == 0 or uniform[u] < errors.dropout[cosine]:
-                out[v, u] = 0
-                continue
-            z = behind[v, u] * CLEAN_UNIT_M
-            growth = 1.0 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * z / _NAMED_AT_M
-            if level > 0.0 and errors.prints_reflect and images.flags[v, u] & REFLECTIVE_FLAG:
-                # The membrane's prints hide what is behind them.
-                z = images.membrane[v, u] * CLEAN_UNIT_M
-                cosine, growth = np.uint8(255), 1.0
-            elif images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
-                z += uniform[u + width] * (_across_edge(behind, v, u, z) - z)
-            shared = errors.shared.fixed_sigma * fixed[u] + errors.shared.moving_sigma * moving[u]
-            noise = errors.white_sigma_m[cosine] * growth * white[u] + errors.shared_sigma_m[cosine] * growth * shared
-            z = z * errors.scale + level * (errors.bias_m[v, u] + drift_m) + noise
-            out[v, u] = min(max(int(z / errors.unit_m + 0.5), 1), 65534)
+            z[u] = behind[v, u] * CLEAN_UNIT_M
+            growth[u] = 1.0 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * z[u] / _NAMED_AT_M
+        for u in range(width):
+            cosine, flags = images.cosine[v, u], images.flags[v, u]
+            if prints_hide and flags & REFLECTIVE_FLAG:  # what is behind them
+                z[u] = images.membrane[v, u] * CLEAN_UNIT_M
+                cosine, growth[u] = np.uint8(255), 1.0
+            elif flags & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
+                z[u] += uniform[u + width] * (_across_edge(behind, v, u, z[u]) - z[u])
+            white_sigma_m[u], shared_sigma_m[u] = errors.white_sigma_m[cosine], errors.shared_sigma_m[cosine]
+        for u in range(width):
+            shared = fixed_sigma * fixed[u] + moving_sigma * moving[u]
+            noise = white_sigma_m[u] * growth[u] * white[u] + shared_sigma_m[u] * growth[u] * shared
+            measured = z[u] * errors.scale + errors.level * (bias_m[u] + drift_m) + noise
+            counts[u] = min(max(np.int32(measured / errors.unit_m + 0.5), np.int32(1)), np.int32(65534))
+        for u in range(width):
+            if behind[v, u] == 0 or uniform[u] < errors.dropout[images.cosine[v, u]]:
+                counts[u] = 0
 
 
 @compiled
@@ -235,7 +253,9 @@ class NoiseModel:
         out = np.empty_like(state.behind)
         drift_m = self.sensor.tof_drift_m * np.sin(2 * np.pi * frame / _DRIFT_FRAMES + self._drift_phase)
         images = _TofImages(state.behind, state.membrane, state.cosine, state.flags)
-        _measure_tof(self._random(frame), images, self._tof, drift_m, out)
+        width = out.shape[1]
+        row = _TofRow(*np.empty((2, width)), *np.empty((2, width), np.float32))
+        _measure_tof(self._random(frame), images, self._tof, drift_m, row, out)
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
