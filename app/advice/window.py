@@ -204,7 +204,9 @@ class SuggestWindow(QDialog):
             self.cards.append(card)
             self._parts.addWidget(card)
         for section, sentence in found.refusals.items():
-            self._parts.addWidget(_refusal(section, sentence))
+            why = as_sentence(sentence.removeprefix(f"{section}: "))
+            refusal = wrapped_label(f"{section_title(section)}: no suggestion. {why}", selectable=True)
+            self._parts.addWidget(refusal)
         if found.parts and not any(card.changes for card in self.cards):
             self._say("The present values already follow from the evidence.")
         self.compare.setChecked(True)
@@ -292,11 +294,6 @@ class SuggestWindow(QDialog):
         if self._shown is not None and not self._context.comparison.shows(self._shown):
             self._shown = None
             self.compare.setChecked(False)
-
-
-def _refusal(section: str, sentence: str) -> QWidget:
-    why = as_sentence(sentence.removeprefix(f"{section}: "))
-    return wrapped_label(f"{section_title(section)}: no suggestion. {why}", selectable=True)
 
 
 class SuggestControl(QObject):

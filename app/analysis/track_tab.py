@@ -234,10 +234,9 @@ class TrackTab(LiveTab):
 
     def show_found(self, result: Result, found: Any) -> Row | None:
         self.tracked = found if self._tracker is not None else None
-        if self.tracked is None:
-            self._show()
-            return None
         self._show()
+        if self.tracked is None:
+            return None
         return tuple(pose_record(self.tracked.estimate, self.tracked.error).values())
 
     # Display

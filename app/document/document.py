@@ -126,8 +126,10 @@ class Document(QObject):
     def __init__(self, preset: Preset | None = None, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._history = History(preset or Preset(), self)
-        self._path: Path | None = None
-        self._baseline = self.preset
+        #: The preset's file; None for a new preset or a shipped one.
+        self.path: Path | None = None
+        #: The preset that "reset" returns to: as it was opened or last saved.
+        self.baseline = self.preset
         #: Keeps untouched frames until the preset has a file.
         self.untouched_store: UntouchedStore | None = None
         self.undo_stack = self._history.undo_stack
@@ -140,21 +142,10 @@ class Document(QObject):
         return self._history.state
 
     @property
-    def path(self) -> Path | None:
-        """The preset's file; None for a new preset or a shipped one."""
-        return self._path
-
-    @property
-    def baseline(self) -> Preset:
-        """The preset that "reset" returns to: as it was opened or last saved."""
-        return self._baseline
-
-    @property
     def untouched_home(self) -> Path | None:
         """The file beside which the preset's untouched frame lies, for `load_untouched`; None if there is none."""
-        return (
-            self._path if self.untouched_store is None else self.untouched_store.home(self.preset.untouched, self._path)
-        )
+        store = self.untouched_store
+        return self.path if store is None else store.home(self.preset.untouched, self.path)
 
     @property
     def dirty(self) -> bool:
@@ -183,18 +174,21 @@ class Document(QObject):
         self._history.edit(title or describe_edit(after, paths), after, gesture, target=paths)
         return True
 
-    def new(self, preset: Preset) -> None:
-        self._replace(preset, None)
+    def new(self, preset: Preset, path: Path | None = None) -> None:
+        """Begin again with a preset, of a file if there is one, and without undo."""
+        self.path = path
+        self._history.start(preset)
+        self._set_baseline(preset)
 
     def open(self, path: Path) -> None:
         preset, note = load_preset_and_note(path)
-        self._replace(preset, path)
+        self.new(preset, path)
         if note:
             self.warned.emit(f"{path.name}: {note}.")
 
     def restore(self, preset: Preset, path: Path | None) -> None:
         """Restore unsaved work after a crash. It counts as unsaved."""
-        self._replace(preset, path)
+        self.new(preset, path)
         if path is not None:
             with suppress(TactuneError):
                 self._set_baseline(load_preset(path))
@@ -204,9 +198,9 @@ class Document(QObject):
     def save(self, path: Path) -> None:
         """Write the preset to a file, which becomes the document's. Its untouched frame is written first."""
         lost = self._bring_untouched(path)
-        self._history.show(with_notes_of_changes(self.preset, self._baseline))
+        self._history.show(with_notes_of_changes(self.preset, self.baseline))
         save_preset(self.preset.model_copy(update={"modified": now()}), path)
-        self._path = path
+        self.path = path
         self.undo_stack.setClean()
         self._set_baseline(self.preset)
         if lost:
@@ -223,13 +217,8 @@ class Document(QObject):
             return f"{to.name} was saved without its untouched frame: {error}."
         return ""
 
-    def _replace(self, preset: Preset, path: Path | None) -> None:
-        self._path = path
-        self._history.start(preset)
-        self._set_baseline(preset)
-
     def _set_baseline(self, preset: Preset) -> None:
-        self._baseline = preset
+        self.baseline = preset
         self.baselineChanged.emit(preset)
         self.fileChanged.emit()
 

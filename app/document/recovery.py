@@ -12,13 +12,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
+from PyQt6.QtCore import QLockFile, QObject, pyqtSignal
 
 from ...core.errors import TactuneError
 from ...core.model.files import atomic_path, remove_leftovers
 from ...core.model.loading import read_json
 from ...core.preset import Preset, now
 from ...core.preset.file import preset_and_note, preset_json
+from ...widgets.basics.controls import timer
 from .document import Document
 
 T = TypeVar("T")
@@ -43,10 +44,7 @@ class KeptState(QObject, Generic[T]):
         self._written = self.present()
         self._reported = self._unwritten = False
         self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"keep {noun}")
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(delay_ms)
-        self._timer.timeout.connect(self.flush)
+        self._timer = timer(self, delay_ms, self.flush, once=True)
 
     def present(self) -> T:
         """Return the present state, immutable and comparable."""

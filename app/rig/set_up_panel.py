@@ -190,6 +190,7 @@ class SetUpPanel(QWidget):
             "Verdict", "How far the boundary of a patch is off.", VerdictStep(context, self.press), _judged
         )
         self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)
+        self._steps = [(row, row.work) for row in self.rows if row.work is not None]
         self.start = push_button("Set &up this rig", "Run all open steps in their order; stops where you must act")
         self.start.setFont(text_font("body", bold=True))
         self.skip = push_button("S&kip step", "Go on without the marked step")
@@ -202,10 +203,9 @@ class SetUpPanel(QWidget):
         self.setAccessibleName("Set up")
         self.start.clicked.connect(self.toggle)
         self.skip.clicked.connect(self._skip)
-        for row in self.rows:
-            if row.work is not None:
-                row.work.ended.connect(self._step_ended)
-                row.work.start.clicked.connect(self._show)
+        for _, work in self._steps:
+            work.ended.connect(self._step_ended)
+            work.start.clicked.connect(self._show)
         context.worker.opened.connect(self._opened)
         context.worker.opening.connect(lambda name, *_: self._show_opening(name))
         context.worker.openFailed.connect(lambda *_: self._show_opening(""))
@@ -234,7 +234,7 @@ class SetUpPanel(QWidget):
             return
         self._chosen, following = None, self._next()
         if following is None:
-            self._again = {row for row in self.rows if row.work is not None}
+            self._again = {row for row, _ in self._steps}
             self.press.clear()
         self.running = True
         self._advance()
@@ -244,18 +244,16 @@ class SetUpPanel(QWidget):
             self._context.worker.cancel_open()
         self.running = self._waiting = False
         self._search.cancel()
-        for row in self.rows:
-            if row.work is not None:
-                row.work.stop()
+        for _, work in self._steps:
+            work.stop()
         self._show()
 
     def close(self) -> bool:
         """Take no frames any more."""
         self.running = False
         self._search.stop()
-        for row in self.rows:
-            if row.work is not None:
-                row.work.close_down()
+        for _, work in self._steps:
+            work.close_down()
         return super().close()
 
     def _left_out(self, row: StepRow) -> bool:
@@ -313,7 +311,7 @@ class SetUpPanel(QWidget):
         self.headline.setText(sentence)
 
     def _step_ended(self, found: bool) -> None:
-        row = next(row for row in self.rows if row.work is self.sender())
+        row = next(row for row, work in self._steps if work is self.sender())
         self._chosen = None
         if found:
             self._again.discard(row)
@@ -345,12 +343,10 @@ class SetUpPanel(QWidget):
         self._opening = ""
         self.press.clear()
         self._search.cancel()
-        for row in self.rows:
-            row.skipped = False
-            if row.work is not None:
-                row.work.found = None
-                if row.work.sentence.text() != OTHER_SOURCE:
-                    row.work.sentence.clear()
+        for row, work in self._steps:
+            row.skipped, work.found = False, None
+            if work.sentence.text() != OTHER_SOURCE:
+                work.sentence.clear()
         self._show()
 
     def _show_opening(self, name: str) -> None:
@@ -366,12 +362,12 @@ class SetUpPanel(QWidget):
 
     def _show(self, *_: object) -> None:
         preset, following = self._context.document.preset, self._next()
-        busy = any(row.work is not None and row.work.busy for row in self.rows)
+        busy = any(work.busy for _, work in self._steps)
         for row in self.rows:
             row.show_state(preset, self._left_out(row), row is following)
-            if row.work is not None:
-                row.work.start.setEnabled(not busy and self._info is not None and not self._left_out(row))
-                row.work.cancel.setVisible(not self.running)  # Stop does the same
+        for row, work in self._steps:
+            work.start.setEnabled(not busy and self._info is not None and not self._left_out(row))
+            work.cancel.setVisible(not self.running)  # Stop does the same
         self.start.setText("Stop" if self.running else "Set &up again" if following is None else "Set &up this rig")
         self.start.setEnabled(self.running or not busy)
         self.skip.setEnabled(self.start.isEnabled() and following is not None and following.work is not None)

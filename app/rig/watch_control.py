@@ -53,7 +53,6 @@ class WatchControl(QObject):
         self.first: RigCheck | None = None
         self._watch: Callable[[], Watch] | None = None
         self._key: object = None
-        self._next_s = float("-inf")
         self._looks, self._failed = 0, False
         self.job = Job(self)
         self.job.done.connect(self._tell)
@@ -103,7 +102,7 @@ class WatchControl(QObject):
         key = (untouched, preset.alignment, preset.contact_test, result.source)
         if key != self._key:
             self._forget()
-            self._key, self._next_s, self._looks, self._failed = key, float("-inf"), 0, False
+            self._key, self._looks, self._failed = key, 0, False
             self._watch = cache(lambda: Watch(preset, rig, untouched))  # made on the thread of the job
         frame, watch, first = result.frame, self._watch, self.first is None
         time_s = frame.proximity_time_s

@@ -7,7 +7,6 @@ from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QGridLayout, QLineEdit, QPushButton, QWidget
 
 from ...core.calibration.rig_from_folder import FolderRig, rig_from_folder
@@ -49,9 +48,7 @@ class FolderRigDialog(QDialog):
         row = grid.rowCount()
         grid.addWidget(caption("&Unit of depth", self.unit), row, 0)
         grid.addWidget(self.unit, row, 1)
-        self.about = wrapped_label(selectable=True)
-        self.about.setTextFormat(Qt.TextFormat.PlainText)
-        self.note = NoteLabel(lines=3)
+        self.note, self.about = NoteLabel(lines=3), NoteLabel()
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
         self._open = self.buttons.button(QDialogButtonBox.StandardButton.Open) or QPushButton()
         intro = f"{folder}\nThese images have no rig.json. State what no file beside them does; Open writes it there."

@@ -16,7 +16,7 @@ from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import caption, choice_button, heading, named, push_button, wrapped_label
+from ...widgets.basics.controls import NoteLabel, caption, choice_button, heading, named, push_button
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
@@ -96,8 +96,7 @@ class ComparisonPanel(QWidget):
         self.modes = {mode: choice_button(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
         self.numbers: dict[tuple[str, int], QLabel] = {}
         self.heading = QLabel()
-        self.problem = wrapped_label()
-        self.problem.setTextFormat(Qt.TextFormat.PlainText)
+        self.problem = NoteLabel()
         self.problem.hide()
         self.table = RecordTable(
             _COLUMNS, "Fields in which the presets differ", "The value of each in A and B", key=lambda row: row[0]

@@ -139,7 +139,8 @@ class FramePresenter(QObject):
             self._strip.set_images(strip, None if compared is None else compared.b.rendered.strip)
         histogram = result.rendered.histogram
         if histogram is not None:  # the worker counts less often than frames come
-            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, histogram.known)
+            shown = self._panel.histograms[histogram.field]
+            shown.set_data(histogram.counts, histogram.edges, histogram.known)
         shown_fps = self._status.show_result(result)
         readings = patch_readings(result, shown_fps) if compared is None else ()  # they belong to the picture
         self._views.views[CloudName.PATCH].set_readings(readings)

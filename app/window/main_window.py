@@ -515,8 +515,7 @@ class MainWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
         """Ask about unsaved changes and finish a recording; then remember the layout and stop the worker."""
-        if event is None:
-            return
+        assert event is not None
         if self.document.dirty and self.document.preset is not self._given_up:
             event.ignore()
             self._given_up = None

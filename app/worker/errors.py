@@ -29,26 +29,21 @@ class ErrorHook(QObject):
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._previous: ExceptionHook | None = None
+        self._previous: ExceptionHook = sys.excepthook
 
     def install(self) -> None:
-        if self._previous is None:
-            self._previous = sys.excepthook
-            sys.excepthook = self._handle
+        self._previous, sys.excepthook = sys.excepthook, self._handle
 
     def remove(self) -> None:
-        if self._previous is not None:
-            if sys.excepthook == self._handle:
-                sys.excepthook = self._previous
-            self._previous = None
+        if sys.excepthook == self._handle:
+            sys.excepthook = self._previous
 
     def _handle(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, Exception):
             details = "".join(traceback.format_exception(kind, error, trace))
             sentence = f"Something went wrong ({kind.__name__}: {error}). Your work is kept; save it to be sure."
             self.raised.emit(sentence, details)
-        if self._previous is not None:
-            self._previous(kind, error, trace)
+        self._previous(kind, error, trace)
 
 
 def guarded(act: Callable[[], object]) -> None:

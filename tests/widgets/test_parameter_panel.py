@@ -122,7 +122,7 @@ def test_a_refused_value_is_explained_and_taken_back(panel, seen):
 
 def test_dragging_a_line_of_the_histogram_edits_the_tolerance(qapp, panel, seen):
     panel.set_preset(Preset(contact_test="tolerance"))
-    panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 40)
+    panel.histograms["tolerance.t"].set_data(np.ones(40), np.linspace(-0.1, 0.1, 41), 40)
     qapp.processEvents()
     plot = panel.histograms["tolerance.t"].plot_widget
     box = plot.getPlotItem().getViewBox()

@@ -230,23 +230,21 @@ def number_label(widest: str, tip: str) -> TintedLabel:
 
 
 class ElidedLabel(QLabel):
-    """Plain text in ``lines`` lines that accepts any width; the tooltip has the whole text if it is elided."""
+    """Plain text in a line that accepts any width; the tooltip has the whole text if it is elided."""
 
-    def __init__(self, text: str = "", lines: int = 1) -> None:
+    def __init__(self, text: str = "") -> None:
         super().__init__(text)
-        self._lines = lines
         self.setTextFormat(Qt.TextFormat.PlainText)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
     def sizeHint(self) -> QSize:
-        return QSize(0, self._lines * self.fontMetrics().height() + 4)  # also while empty: nothing jumps
+        return QSize(0, self.fontMetrics().height() + 4)  # also while empty: nothing jumps
 
     def minimumSizeHint(self) -> QSize:
         return self.sizeHint()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        metrics, right = self.fontMetrics(), Qt.TextElideMode.ElideRight
-        shown = "\n".join(metrics.elidedText(line, right, self.width() - 4) for line in self.text().split("\n"))
+        shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
         tip = "" if shown == self.text() else self.text()
         if tip != self.toolTip():  # each call tells every widget above, also without a change
             self.setToolTip(tip)
@@ -307,8 +305,7 @@ class ProgressCard(QFrame):
 
     def __init__(self, name: str, tip: str) -> None:
         super().__init__()
-        self._words = wrapped_label()
-        self._words.setTextFormat(Qt.TextFormat.PlainText)
+        self._words = NoteLabel()
         self._bar = ProgressBar()
         self._bar.setAccessibleName(name)
         self.cancel = push_button("Cancel", tip)

@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .controls import shortened, timer, tool_button, wrapped_label
+from .controls import push_button, shortened, timer, tool_button, wrapped_label
 from .layouts import STRETCH, hbox, vbox
 
 #: Messages on the screen at once; older ones wait.
@@ -86,8 +86,7 @@ class Message(QFrame):
         body = vbox(first, margins=(8, 4, 4, 4), spacing=4)
         answers: list[QWidget] = [self._details_button(details, body)] if details else []
         for name, action in offers:
-            button = QPushButton(name)
-            button.setAutoDefault(False)
+            button = push_button(name, "")
             button.clicked.connect(close)
             button.clicked.connect(lambda _=False, action=action: action())
             answers.append(button)

@@ -9,8 +9,9 @@ from typing import Final, NamedTuple
 
 from PyQt6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QFontMetrics, QMouseEvent, QPainter, QPaintEvent, QPalette, QPen
-from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QWidget
+from PyQt6.QtWidgets import QApplication, QWidget
 
+from .controls import push_button, wrapped_label
 from .layouts import STRETCH, vbox
 from .theme import CASING, text_font
 
@@ -23,13 +24,11 @@ class Notice(QWidget):
     def __init__(self, over: QWidget, *, warns: bool = False) -> None:
         super().__init__(over)
         self._warns = warns
-        self._words = QLabel()
+        self._words = wrapped_label()
         self._words.setTextFormat(Qt.TextFormat.PlainText)
-        self._words.setWordWrap(True)
         self._words.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._words.setProperty("plate", "warning" if warns else "plain")
-        self.button = QPushButton()
-        self.button.setAutoDefault(False)  # Enter belongs to the dialog that the view is in
+        self.button = push_button("", "")  # Enter belongs to the dialog that the view is in
         self.button.hide()
         centre = Qt.AlignmentFlag.AlignHCenter
         column = vbox(*([] if warns else [STRETCH]), within=self, margins=8, spacing=12)

@@ -205,8 +205,7 @@ class RecordTable(QTableView):
         self._showing = False
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        if event is None:
-            return
+        assert event is not None
         if event.key() in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
             self.deleteRequested.emit()
         elif event.key() == Qt.Key.Key_Space and self._box is not None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QPalette, QResizeEvent
-from PyQt6.QtWidgets import QFrame, QGridLayout, QPushButton, QSizePolicy, QTabBar, QWidget
+from PyQt6.QtWidgets import QFrame, QGridLayout, QSizePolicy, QTabBar, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_legend, difference_legend
-from ..basics.controls import wrapped_label
+from ..basics.controls import push_button, wrapped_label
 from ..basics.layouts import hbox, vbox
 from ..basics.overlays import Wipe
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Rectangle, moved_by_arrow
@@ -35,9 +35,7 @@ class _Banner(QFrame):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.text = wrapped_label()
-        self.done = QPushButton("Done")
-        self.done.setToolTip("End picking (Esc)")
-        self.done.setAutoDefault(False)
+        self.done = push_button("Done", "End picking (Esc)")
         hbox((self.text, 1), self.done, within=self, margins=(8, 0, 0, 0))  # no higher than the tabs, which it covers
         self.setFrameShape(QFrame.Shape.Box)
         self.setAutoFillBackground(True)
@@ -203,8 +201,7 @@ class ImageStrip(QWidget):
         self._check_hint()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        if event is None:
-            return
+        assert event is not None
         key = Qt.Key(event.key())
         if key in ARROW_KEYS:
             start = self._pixel if self._pixel != (-1, -1) else (self._size[0] // 2, self._size[1] // 2)

@@ -234,8 +234,7 @@ class PointImage(ImagePane):
         return self.image_rect().contains(QPointF(*place))
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        if event is None:
-            return
+        assert event is not None
         key, modifiers = Qt.Key(event.key()), event.modifiers()
         if key in ARROW_KEYS:
             step = 0.1 if modifiers & Qt.KeyboardModifier.ShiftModifier else 1.0

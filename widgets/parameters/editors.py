@@ -104,8 +104,7 @@ class NumberEntry(QAbstractSpinBox):
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        if event is None:
-            return
+        assert event is not None
         if event.key() == Qt.Key.Key_Escape and self._typing:
             self._show_value()
             self.selectAll()

@@ -6,14 +6,12 @@ from collections.abc import Collection, Mapping
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeySequence, QPalette, QShortcut
 from PyQt6.QtWidgets import QLabel, QScrollArea, QSizePolicy, QToolButton, QWidget
 
 from ...core.model.alignment import CalibrationRecord
-from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ..basics.colormaps import MASKED_RGB
 from ..basics.controls import CollapsibleSection, keep_place, tool_button, wrapped_label
@@ -152,10 +150,6 @@ class ParameterPanel(QScrollArea):
         if distance_m != self._median_m:
             self._median_m = distance_m
             self._show_tolerance_mm()
-
-    def set_histogram(self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], known: int) -> None:
-        """Show what the field at ``path`` limits in the latest frame; parameters as of `LimitHistogram.set_data`."""
-        self.histograms[path].set_data(counts, edges, known)
 
     def open_histograms(self) -> frozenset[str]:
         return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].button.is_folded)
@@ -357,9 +351,7 @@ def _bar_button(text: str, tip: str, name: str) -> QToolButton:
 def _note() -> QLabel:
     label = wrapped_label()
     label.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-    policy = label.sizePolicy()
-    policy.setRetainSizeWhenHidden(True)  # nothing below moves under the mouse
-    label.setSizePolicy(policy)
+    keep_place(label)  # nothing below moves under the mouse
     label.hide()
     return label
 

@@ -148,8 +148,7 @@ class Slider(QWidget):
     # Keyboard
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        if event is None:
-            return
+        assert event is not None
         page, all_of_it = max(1, self._scale.positions // 10), self._scale.positions
         key = Qt.Key
         steps = {key.Key_Left: -1, key.Key_Down: -1, key.Key_Right: 1, key.Key_Up: 1}

@@ -102,9 +102,6 @@ class LimitHistogram(QWidget):
             self._place_lines()
             self._draw()
 
-    def limit(self) -> float:
-        return self._limit
-
     def showEvent(self, event: Any) -> None:
         super().showEvent(event)
         if self._stale:
