@@ -74,12 +74,13 @@ def check(
     source: UntouchedSource,
     preset: PresetOption = None,
 ) -> None:
-    """Check whether the cameras have moved or the membrane's inflation has changed since the preset was made.
+    """Check whether the cameras or the membrane have changed.
 
-    For a robot's start. The alignment is compared with both colour images, the membrane with the preset's untouched
-    frame. Prints one line. Exit status: 0 if all that could be checked is still good; 1 after a drift; 2 if nothing
-    could be checked, something touches the membrane, or the preset's untouched frame is missing. A warning names what
-    was not checked. A recording is searched for where nothing touches; the simulator removes its object for this.
+    For a robot's start: have the cameras moved, or the inflation, since the preset was made? The alignment is compared
+    with both colour images, the membrane with the preset's untouched frame. Prints one line. Exit status: 0 if all that
+    could be checked is still good; 1 after a drift; 2 if nothing could be checked, something touches the membrane, or
+    the preset's untouched frame is missing. A warning names what was not checked. A recording is searched for where
+    nothing touches; the simulator removes its object for this.
     """
     from ...core.rig.untouched import load_untouched, place_at_rest
 

@@ -57,9 +57,10 @@ print(json.dumps(answer))
 
 
 def devices() -> None:
-    """List the connected cameras: model, serial number, firmware and USB version; and live ROS 2 topics of depth.
+    """List the connected cameras.
 
-    Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
+    Tells model, serial number, firmware and USB version; and live ROS 2 topics of depth. Exit status 0 if a camera is
+    connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
     with ThreadPoolExecutor(1) as pool:
         listening = pool.submit(_ros2_topics)
@@ -90,9 +91,9 @@ def _ros2_topics() -> list[ImageTopic]:
 
 
 def doctor() -> None:
-    """Check packages, memory, camera driver, USB, permissions and Qt, and name a remedy for each problem.
+    """Check this computer: packages, camera driver, USB, Qt, memory.
 
-    Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
+    Names a remedy for each problem. Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """
     lines = check_computer()
     say(report(lines))
@@ -101,7 +102,7 @@ def doctor() -> None:
 
 
 def warmup() -> None:
-    """Compile the pipeline for this computer, so that a robot's first frame need not wait."""
+    """Compile in advance, so that a robot's first frame is fast."""
     from ...core.warmup import warm_up
 
     with CliProgress() as progress:

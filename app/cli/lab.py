@@ -52,14 +52,14 @@ NamesOption = Annotated[
 CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write the lines to a CSV file.")]
 
 lab_commands = typer.Typer(
-    help="For papers (extra lab): methods beside the truth, strain, truth from a scan, speed.",
+    help="For papers (extra lab): tables, strain, scans, run times.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
 
 
-@lab_commands.command(short_help="Compare methods on simulated presses with known truth.")
+@lab_commands.command()
 def table(
     *,
     methods: NamesOption = "all",
@@ -74,7 +74,7 @@ def table(
     ] = False,
     csv_file: CsvOption = None,
 ) -> None:
-    """Compare methods on simulated presses with known truth, on one or more sensors."""
+    """Compare methods on simulated presses with known truth. They run on one or more sensors."""
     from platformdirs import user_cache_dir
 
     from ...core.lab.table import cell_line, measure_table, plan_table, table_text, time_table
@@ -110,7 +110,7 @@ def table(
     say(table_text(cells, times))
 
 
-@lab_commands.command(short_help="What breaks after a rig was measured, and whether the patch says so.")
+@lab_commands.command()
 def faults(
     *,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor of the simulator.")] = "l515-d405",
@@ -119,7 +119,10 @@ def faults(
     ] = False,
     settings: SetOption = None,
 ) -> None:
-    """Lay twelve faults over simulated touches and hovers, and count wrong patches that carry no doubt."""
+    """Show what breaks in a measured rig, and whether patches say so.
+
+    Lays twelve faults over simulated touches and hovers, and counts wrong patches that carry no doubt.
+    """
     from ...core.lab.faults import faults_text, try_faults
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.scenes import read_name
@@ -207,7 +210,7 @@ def _strain_record(frame: SensorFrame, measured: StrainMeasurement) -> Record:
 # Truth from a painted scan
 
 
-@lab_commands.command(short_help="Compare methods with the contact on a painted 3D scan.")
+@lab_commands.command()
 def scan(
     *,
     source: SourceOption = SOURCE,
@@ -233,9 +236,9 @@ def scan(
     ] = None,
     csv_file: CsvOption = None,
 ) -> None:
-    """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
+    """Compare methods with the contact on a painted 3D scan.
 
-    Without --methods the preset's own test is compared.
+    Thermochromic paint on the object shows where it was touched. Without --methods the preset's own test is compared.
     """
     from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
@@ -314,14 +317,17 @@ def _paint(words: list[str]) -> PaintSettings:
 # Speed
 
 
-@lab_commands.command(short_help="Measure the pipeline's run time and error.")
+@lab_commands.command()
 def bench(
     *,
     gate: Annotated[
         bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
 ) -> None:
-    """Measure run time and error beside NumPy, OpenCV and Open3D; with --gate check the promised speed."""
+    """Measure the pipeline's run time and error.
+
+    NumPy, OpenCV and Open3D stand beside it; --gate checks the promised speed.
+    """
     from ...core.lab import bench as lab_bench
 
     head = lab_bench.machine_words()

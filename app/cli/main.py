@@ -106,23 +106,15 @@ commands = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-commands.command(short_help="Compute contact patches without a window.")(run)
-commands.command(short_help="Fit the alignment to clicked points and report its quality.")(calibrate)
-commands.command(short_help="Record into a ROS 2 bag (MCAP).")(record)
-commands.command(short_help="Convert recordings to MCAP, HDF5 or images, calibrations to URDF.")(convert)
-commands.command(short_help="List the connected cameras.")(devices)
-commands.command(short_help="Check this computer: packages, camera driver, USB, Qt, memory.")(doctor)
-commands.command(short_help="Publish contact patches live for Foxglove and ROS 2.")(serve)
-commands.command(short_help="Track the pose of a known object by its contact patches.")(track)
-commands.command(short_help="Check whether the cameras or the membrane have changed.")(check)
-commands.command(short_help="Compile in advance, so that a robot's first frame is fast.")(warmup)
-commands.command(short_help="Search for preset values with the best error and run time.")(tune)
-preset_commands.command(short_help="Suggest values, with the evidence for each.")(suggest)
-preset_commands.command(short_help="Say what is wrong with a preset on a frame.")(findings)
-preset_commands.command("create-rig", short_help="Write the rig.json of a folder of images.")(create_rig)
+# The first sentence of each docstring is the summary in the lists of commands.
+for command in (run, calibrate, record, convert, devices, doctor, serve, track, check, warmup, tune):
+    commands.command()(command)
+for command in (suggest, findings):
+    preset_commands.command()(command)
+preset_commands.command("create-rig")(create_rig)
 commands.command("create-rig", hidden=True)(create_rig)  # the name by which scripts know it
-commands.add_typer(preset_commands, name="preset", short_help="Make, show, check and improve presets and rigs.")
-commands.add_typer(lab_commands, name="lab", short_help="For papers: tables of methods, strain, scans, run times.")
+commands.add_typer(preset_commands, name="preset")
+commands.add_typer(lab_commands, name="lab")
 
 
 def main() -> int:
@@ -162,17 +154,17 @@ def _start(
         raise typer.Exit(_open_window(None, None, None))
 
 
-@commands.command(short_help="Open the window, as without a command.")
+@commands.command()
 def gui(
     *,
-    source: SourceOption | None = None,
+    source: SourceOption = "",
     preset: PresetOption = None,
     screenshot: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Save a picture of the window to a .png or .jpg file and close it."),
     ] = None,
 ) -> None:
-    """Open the window, with the last source and preset unless others are named."""
+    """Open the window, as without a command. It has the last source and preset unless others are named."""
     if screenshot is not None and screenshot.suffix.lower() not in (".png", ".jpg"):
         raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in .png or .jpg")
     check_writable(screenshot)

@@ -50,7 +50,7 @@ preset_commands = typer.Typer(
 )
 
 
-@preset_commands.command(short_help="Write a new preset.")
+@preset_commands.command()
 def new(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write.")],
@@ -67,7 +67,7 @@ def new(
     ] = None,
     settings: SetOption = None,
 ) -> None:
-    """Write a new preset: the paper's values or those of another preset, changed by --set."""
+    """Write a new preset. It has the paper's values or those of another preset, changed by --set."""
     from ...core.preset import Preset, now
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import copy_untouched
@@ -116,7 +116,7 @@ def validate(preset: Annotated[str, typer.Argument(metavar="FILE", help="A prese
     tell_notes(loaded)
 
 
-@preset_commands.command("capture-untouched", short_help="Average frames of the untouched membrane.")
+@preset_commands.command("capture-untouched")
 def capture_untouched(
     *,
     source: UntouchedSource,
@@ -125,10 +125,10 @@ def capture_untouched(
         bool, typer.Option("--force", help="Keep the frame even if the preset finds contact in it.")
     ] = False,
 ) -> None:
-    """Average frames of the untouched membrane and store them with a preset.
+    """Average frames of the untouched membrane.
 
-    Some methods and ``tactune check`` compare with it. It is a file beside the preset. Frames in which the preset
-    finds contact are refused. The simulator removes its object for this.
+    The mean is stored with a preset, in a file beside it; some methods and ``tactune check`` compare with it. Frames in
+    which the preset finds contact are refused. The simulator removes its object for this.
     """
     from ...core.preset import now
     from ...core.preset.file import save_preset
@@ -147,7 +147,7 @@ def capture_untouched(
     say(f"wrote {preset.parent / record.file}, named in {preset}")
 
 
-@preset_commands.command("measure-rig", short_help="Measure the cameras' noise and bias.")
+@preset_commands.command("measure-rig")
 def measure_rig(
     *,
     source: Annotated[
@@ -156,11 +156,11 @@ def measure_rig(
     preset: PresetOption = None,
     out: _MeasuredOut = None,
 ) -> None:
-    """Measure the noise of both cameras and the bias between them, and store them in a preset.
+    """Measure the cameras' noise and bias.
 
-    The scene must be at rest. The bias is measured on prints of the mask's colour, which both cameras see,
-    and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
-    removes its object for this.
+    Both are stored in a preset. The scene must be at rest. The bias between the cameras is measured on prints of the
+    mask's colour, which both cameras see, and where an object is pressed firmly. Without --out and without a preset
+    file nothing is written. The simulator removes its object for this.
     """
     from ...core.rig.noise import describe, measure_noise
     from ...core.rig.untouched import find_untouched, frames_to_average
@@ -179,7 +179,7 @@ def measure_rig(
     _keep(chosen.with_value("noise", noise.model_dump()), origin, target)
 
 
-@preset_commands.command("calibrate-force", short_help="Measure the inflation from presses on a scale.")
+@preset_commands.command("calibrate-force")
 def calibrate_force(
     *,
     source: Annotated[str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames in which an object presses.")],
@@ -194,9 +194,10 @@ def calibrate_force(
     preset: PresetOption = None,
     out: _MeasuredOut = None,
 ) -> None:
-    """Measure the pressure of the inflation from presses of known force, and store it in a preset.
+    """Measure the inflation from presses on a scale.
 
-    The contact test pressure then gives newtons and pascals. One firm press suffices; more show how well they follow.
+    The pressure is stored in a preset, and the contact test pressure then gives newtons and pascals. One firm press
+    suffices; more show how well they follow.
     """
     from ...core.rig.inflation import Press, fit_inflation, read_forces
 

@@ -104,7 +104,10 @@ def convert(
         ),
     ] = False,
 ) -> None:
-    """Convert a recording, or the calibration of a preset or recording, to files of other tools."""
+    """Convert recordings to MCAP, HDF5 or images, calibrations to URDF.
+
+    A calibration is that of a preset or of a recording; Kalibr and ROS read it, too.
+    """
     kind = to or _kind_of(target)
     if share and kind != "mcap":
         raise ExportError(f"--share writes one .mcap with all that belongs to a recording; {target} is none")

@@ -103,9 +103,10 @@ def run(
     ] = False,
     estimate: EstimateOption = None,
 ) -> None:
-    """Compute contact patches without a window: a line for each frame, unless they are written to --out, and a summary.
+    """Compute contact patches without a window.
 
-    Ctrl+C ends it, with the summary. The exit status is then 130, but 0 for live cameras, which have no other end.
+    Prints a line for each frame, unless patches are written to --out, and a summary. Ctrl+C ends it, too. The exit
+    status is then 130, but 0 for live cameras, which have no other end.
     """
     if estimate is not None and not json_lines:
         raise typer.BadParameter("--estimate is printed with --json; add it")

@@ -76,7 +76,10 @@ def serve(
     unit: UnitOption = None,
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
-    """Publish contact patches live for Foxglove and ROS 2, until Ctrl+C; a recording is repeated at its own rate."""
+    """Publish contact patches live for Foxglove and ROS 2.
+
+    Ctrl+C ends it; a recording is repeated at its own rate.
+    """
     from ...core.output.connections import Connections
     from ...core.output.publisher import Publisher
 

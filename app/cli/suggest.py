@@ -58,10 +58,10 @@ def suggest(
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write, with all suggestions.")
     ] = None,
 ) -> None:
-    """Suggest values for a preset, with the evidence for each; later ones are computed with the earlier ones applied.
+    """Suggest values, with the evidence for each.
 
-    The evidence is the present frame, the three before it, and the untouched frame of the preset or the source. Nothing
-    is written without --out.
+    Later ones are computed with the earlier ones applied. The evidence is the present frame, the three before it, and
+    the untouched frame of the preset or the source. Nothing is written without --out.
     """
     if out is not None:
         check_target(out, preset)
@@ -96,9 +96,10 @@ def findings(
     preset: PresetOption = None,
     frame: FrameOption = None,
 ) -> None:
-    """Say what is wrong with a preset on a frame, and what mends it; the exit status is 1 if there are findings.
+    """Say what is wrong with a preset on a frame.
 
-    The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
+    Also what mends it; the exit status is 1 if there are findings. The same as Findings in the window. The stored
+    untouched frame of the preset or the recording is used too.
     """
     chosen, origin = chosen_preset(preset, source)
     with open_checked(source, chosen) as opened:

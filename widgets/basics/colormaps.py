@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 from functools import cache, lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -46,35 +46,39 @@ _CANDIDATE_RGB = (245, 158, 120)
 _BEHIND_ALPHA = 56
 _UNDEFINED_RGBA = (128, 128, 128, 70)
 
-#: Found by a search for the largest distance in CIE L*a*b* between any two, with any colour vision.
-_REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
-    Provenance.NO_TACTILE_DEPTH: (68, 198, 252),
-    Provenance.MASKED: MASKED_RGB,
-    Provenance.OUTLIER: (219, 198, 0),
-    Provenance.SMALL_CLUSTER: (15, 147, 98),
-    Provenance.RIM: (147, 53, 32),
-    Provenance.CONTACT: CONTACT_RGB,
+
+class _Shown(NamedTuple):
+    """How a verdict on a pixel is called and coloured."""
+
+    name: str
+    rgb: tuple[int, int, int]
+    dark_rgb: tuple[int, int, int] | None = None  # in the dark theme, where it is another one
+
+
+#: The most important first. The colours from contact to no tactile depth were found by a search for the largest
+#: distance in CIE L*a*b* between any two, with any colour vision.
+_VERDICTS: Final = {
+    Provenance.CONTACT: _Shown("contact", CONTACT_RGB),
+    Provenance.RIM: _Shown("rim", (147, 53, 32)),
+    Provenance.OUTSIDE_TOLERANCE: _Shown("not touching", (200, 200, 198), (82, 82, 80)),
+    Provenance.MASKED: _Shown("masked", MASKED_RGB),
+    Provenance.OUTLIER: _Shown("outlier", (219, 198, 0)),
+    Provenance.SMALL_CLUSTER: _Shown("small contact", (15, 147, 98)),
+    Provenance.NO_TACTILE_DEPTH: _Shown("no tactile depth", (68, 198, 252)),
+    Provenance.OUTSIDE_RANGE: _Shown("out of range", (196, 204, 222), (58, 66, 88)),
+    Provenance.OUTSIDE_REGION: _Shown("out of region", (226, 226, 230), (50, 50, 54)),
+    Provenance.NO_PROXIMITY_DEPTH: _Shown("no depth", (242, 242, 242), (26, 26, 26)),
 }
-_CONTEXT_RGB: dict[Provenance, dict[ThemeName, tuple[int, int, int]]] = {
-    Provenance.NO_PROXIMITY_DEPTH: {"light": (242, 242, 242), "dark": (26, 26, 26)},
-    Provenance.OUTSIDE_REGION: {"light": (226, 226, 230), "dark": (50, 50, 54)},
-    Provenance.OUTSIDE_RANGE: {"light": (196, 204, 222), "dark": (58, 66, 88)},
-    Provenance.OUTSIDE_TOLERANCE: {"light": (200, 200, 198), "dark": (82, 82, 80)},
-}
+#: Verdicts on points that agreed in distance; later steps decided.
+LATE_VERDICTS: Final = (
+    Provenance.MASKED,
+    Provenance.OUTLIER,
+    Provenance.SMALL_CLUSTER,
+    Provenance.RIM,
+    Provenance.CONTACT,
+)
 #: Near and far end of the relief around a patch.
 _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
-_SHORT_NAMES: dict[Provenance, str] = {
-    Provenance.CONTACT: "contact",
-    Provenance.RIM: "rim",
-    Provenance.OUTSIDE_TOLERANCE: "not touching",
-    Provenance.MASKED: "masked",
-    Provenance.OUTLIER: "outlier",
-    Provenance.SMALL_CLUSTER: "small contact",
-    Provenance.NO_TACTILE_DEPTH: "no tactile depth",
-    Provenance.OUTSIDE_RANGE: "out of range",
-    Provenance.OUTSIDE_REGION: "out of region",
-    Provenance.NO_PROXIMITY_DEPTH: "no depth",
-}
 
 
 @cache
@@ -113,7 +117,7 @@ def pressure_lut(theme: ThemeName) -> Uint8Array:
     """Return the colours of contact pressure: uint8 (256, 4), row 0 where it is not known, 1 for none, then more."""
     lut = np.zeros((256, 4), np.uint8)
     lut[1 : _PRESSURE_ROWS + 1] = _sample(_PRESSURE_MAP, np.linspace(*_PRESSURE_PART, _PRESSURE_ROWS))
-    lut[UNDEFINED_ROW] = (*_CONTEXT_RGB[Provenance.OUTSIDE_RANGE][theme], 255)
+    lut[UNDEFINED_ROW] = provenance_lut(theme)[Provenance.OUTSIDE_RANGE]
     return _frozen(lut)
 
 
@@ -165,15 +169,10 @@ def difference_legend(t: float, limit: float = DIFFERENCE_LIMIT) -> Legend:
 def provenance_lut(theme: ThemeName) -> Uint8Array:
     """Return one colour for every `Provenance`: uint8 (256, 4); rows without a meaning are hidden."""
     lut = np.zeros((256, 4), np.uint8)
-    for provenance, rgb in _REASON_RGB.items():
-        lut[provenance] = (*rgb, 255)
-    for provenance, of_theme in _CONTEXT_RGB.items():
-        lut[provenance] = (*of_theme[theme], 255)
+    for verdict, shown in _VERDICTS.items():
+        dark_rgb = shown.dark_rgb or shown.rgb
+        lut[verdict] = (*(dark_rgb if theme == "dark" else shown.rgb), 255)
     return _frozen(lut)
-
-
-#: Verdicts on points that agreed in distance; later steps decided.
-LATE_VERDICTS: Final = tuple(reason for reason in _REASON_RGB if reason != Provenance.NO_TACTILE_DEPTH)
 
 
 def relief_index(depth: Uint16Array, near: float, far: float) -> Uint8Array:
@@ -197,7 +196,7 @@ def patch_lut(theme: ThemeName) -> Uint8Array:
 def provenance_legend(theme: ThemeName, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:
     """Return the name and colour of every `Provenance` that occurs, the most important first."""
     lut = provenance_lut(theme)
-    return [(name, _color(lut, verdict)) for verdict, name in _SHORT_NAMES.items() if verdict in occurring]
+    return [(shown.name, _color(lut, verdict)) for verdict, shown in _VERDICTS.items() if verdict in occurring]
 
 
 @cache

@@ -91,7 +91,7 @@ class ParameterPanel(QScrollArea):
         self.setAccessibleName("Parameters")
 
         self._escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
-        self._escape.activated.connect(lambda: self._choose_eyedropper("off"))
+        self._escape.activated.connect(lambda: self.eyedropperRequested.emit("off"))
         self._escape.setEnabled(False)
         self.set_preset(self._preset)
         self.set_baseline(None)
@@ -213,7 +213,7 @@ class ParameterPanel(QScrollArea):
         if name == "mask":
             for mode, (text, tip) in _EYEDROPPERS.items():
                 button = self.eyedroppers[mode] = _bar_button(text, tip, f"Eyedropper: {mode}")
-                button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
+                button.clicked.connect(lambda on, mode=mode: self.eyedropperRequested.emit(mode if on else "off"))
             self.show_mask.setChecked(True)
             self.show_mask.clicked.connect(self.maskShown)
             bar, buttons = QWidget(), (*self.eyedroppers.values(), self.show_mask)
@@ -275,10 +275,6 @@ class ParameterPanel(QScrollArea):
         if changed:
             self.valuesEdited.emit(changed, new_gesture())
 
-    def _choose_eyedropper(self, mode: str) -> None:
-        self.set_eyedropper(mode)
-        self.eyedropperRequested.emit(mode)
-
     def _value(self, path: str) -> object:
         return self.rows[path].editor.value()
 
@@ -314,7 +310,7 @@ class ParameterPanel(QScrollArea):
         expand = self.eyedroppers["expand"]
         expand.setEnabled(mask_on and pick.isEnabled())
         if not mask_on and expand.isChecked():
-            self._choose_eyedropper("off")
+            self.eyedropperRequested.emit("off")
 
     def _show_tolerance_mm(self) -> None:
         known = np.isfinite(self._median_m) and self._median_m > 0
