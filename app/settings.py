@@ -54,12 +54,6 @@ class Settings:
     def text(self, key: str, default: str = "") -> str:
         return self._values.get(key, default)
 
-    def number(self, key: str, default: float) -> float:
-        try:
-            return float(self.text(key))
-        except ValueError:
-            return default
-
     def blob(self, key: str) -> QByteArray:
         """Return remembered bytes, such as a window geometry; empty if there are none."""
         try:

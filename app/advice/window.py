@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QDialog, QGridLayout, QLabel, QWidget
 
@@ -27,7 +27,7 @@ from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import SOURCE, Context
 from ..document.comparison import Side
 from ..worker.jobs import Job, Progress
-from ..worker.results import Result, SourceInfo
+from ..worker.results import Result
 
 _TITLES = dict(SECTIONS)
 
@@ -38,8 +38,6 @@ def section_title(section: str) -> str:
 
 class ProposalCard(QWidget):
     """Shows a proposal, which can be left out."""
-
-    changed = pyqtSignal()  # it was ticked or unticked
 
     def __init__(self, proposal: Proposal, preset: Preset) -> None:
         super().__init__()
@@ -57,7 +55,6 @@ class ProposalCard(QWidget):
         self._values.setColumnStretch(3, 1)
         head = hbox(self.take, (self.label, 1))
         vbox(head, self.evidence, self.expected, self._values, within=self, margins=(0, 0, 0, 8), spacing=4)
-        self.take.toggled.connect(self.changed)
         self._show_values()
 
     @property
@@ -110,7 +107,7 @@ class SuggestWindow(QDialog):
         self._section = ALL
         self._shown: Side | None = None
         self._applied = -1  # the place in the undo stack, until something else was done
-        self.job = Job(self)
+        self.job = Job(self, done=self._show_found, failed=self._show_failure)
         self.cards: list[ProposalCard] = []
         self.progress = ProgressBar()
         self.sentence = wrapped_label()
@@ -141,8 +138,6 @@ class SuggestWindow(QDialog):
 
     def _connect(self) -> None:
         self.job.progress.connect(self._show_progress)
-        self.job.done.connect(self._show_found)
-        self.job.failed.connect(self._show_failure)
         self.job.busyChanged.connect(self._show_busy)
         self.cancel.clicked.connect(lambda: self._stop("Cancelled; nothing was changed."))
         self.again.clicked.connect(lambda: self.ask(self._section))
@@ -153,6 +148,7 @@ class SuggestWindow(QDialog):
         self._document.presetChanged.connect(self._preset_changed)
         self._document.undo_stack.indexChanged.connect(self._show_state)
         self._context.comparison.changed.connect(self._comparison_changed)
+        self._context.worker.opened.connect(self._source_opened)
 
     def ask(self, section: str) -> None:
         """Make suggestions for a section, or for `ALL`."""
@@ -168,10 +164,10 @@ class SuggestWindow(QDialog):
         self._show_busy(True)
         self._show_progress(0.0, "Gathering evidence")
 
-    def outdated(self, reason: str) -> None:
-        """Drop suggestions that are still being made, and say why those that are shown should be made again."""
+    def _source_opened(self) -> None:
+        """Drop suggestions that are still being made; those that are shown should be made again."""
         if self.job.busy or self.cards:
-            self._stop(f"{reason}: measure again.")
+            self._stop("Another source was opened: measure again.")
 
     @property
     def proposal(self) -> Proposal:
@@ -200,7 +196,7 @@ class SuggestWindow(QDialog):
         self._clear()
         for part in found.parts:
             card = ProposalCard(part, self._document.preset)
-            card.changed.connect(self._choice_changed)
+            card.take.toggled.connect(self._choice_changed)
             self.cards.append(card)
             self._parts.addWidget(card)
         for section, sentence in found.refusals.items():
@@ -303,7 +299,6 @@ class SuggestControl(QObject):
         super().__init__(context)
         self._context = context
         self.window: SuggestWindow | None = None
-        context.worker.opened.connect(self._source_opened)
 
     def open(self, section: str) -> None:
         context = self._context
@@ -317,10 +312,6 @@ class SuggestControl(QObject):
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
         bring_up(self.window)
         self.window.ask(section)
-
-    def _source_opened(self, info: SourceInfo) -> None:
-        if self.window is not None:
-            self.window.outdated("Another source was opened")
 
     def close(self) -> None:
         if self.window is not None:

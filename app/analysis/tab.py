@@ -69,11 +69,8 @@ class LiveTab(AnalysisTab):
         self.result: Result | None = None
         #: The rows of the source's frames by frame number, the newest last.
         self.rows: dict[int, Row] = {}
-        self.job, self._writing = Job(self), Job(self)
-        self.job.done.connect(self._done)
-        self.job.failed.connect(partial(self._complain, "work"))
-        self._writing.done.connect(lambda sentence: self.messages.show_message("done", Severity.INFO, sentence))
-        self._writing.failed.connect(partial(self._complain, "export"))
+        self.job = Job(self, self._done, partial(self._complain, "work"))
+        self._writing = Job(self, self._tell_written, partial(self._complain, "export"))
         self.status, self.messages, self.working = ElidedLabel(WAITING), Messages(self), JobRow(self.job)
         self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E)")
         self.export.setShortcut("Ctrl+E")
@@ -157,6 +154,9 @@ class LiveTab(AnalysisTab):
             return f"The numbers were written to {path}."
 
         self._writing.start(write)
+
+    def _tell_written(self, sentence: str) -> None:
+        self.messages.show_message("done", Severity.INFO, sentence)
 
     def _complain(self, key: str, sentence: str) -> None:
         if sentence:

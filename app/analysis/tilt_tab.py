@@ -15,7 +15,7 @@ from ...core.errors import minus
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
-from ...widgets.basics.controls import wrapped_label
+from ...widgets.basics.controls import named, wrapped_label
 from ...widgets.basics.layouts import splitter, vbox
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_data import free_cloud
@@ -52,12 +52,12 @@ class TiltTab(LiveTab):
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch = (wrapped_label(verdict=True, selectable=True) for _ in range(2))
         self.axis = wrapped_label(selectable=True)
-        self.plot = Plot("Time, s", "Angle, degrees", movable=True)
-        self.plot.setToolTip(
+        self.plot = named(
+            Plot("Time, s", "Angle, degrees", movable=True),
+            "Roll and pitch over time",
             "Roll and pitch over the seconds since the first frame shown, with a band of one standard deviation. "
-            "Drag to move, wheel to zoom; press A to show all again"
+            "Drag to move, wheel to zoom; press A to show all again",
         )
-        self.plot.setAccessibleName("Roll and pitch over time")
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
         self.plot.add_legend(2)
         self._curves = [self._curve("roll", _ROLL_RGB), self._curve("pitch", _PITCH_RGB)]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QLabel, QWidget
 from scipy.spatial.transform import Rotation
@@ -24,7 +24,7 @@ from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
-from ...widgets.basics.theme import theme_colors, theme_name
+from ...widgets.basics.theme import THEME, theme_colors, theme_name
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
@@ -132,7 +132,7 @@ class TrackTab(LiveTab):
         self.model: Model | None = None
         self.tracked: Tracked | None = None
         self._tracker: FrameTracker | None = None
-        self._loading = Job(self)
+        self._loading = Job(self, self._opened, self._tell_loading)
         self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
         self.track_button = choice_button(
@@ -148,10 +148,7 @@ class TrackTab(LiveTab):
         self.job.failed.connect(self._stop_after)
         self.working.cancel.clicked.connect(lambda: self.track_button.setChecked(False))
         self._loading.busyChanged.connect(lambda _: self._show())
-        self._loading.done.connect(self._opened)
-        self._loading.failed.connect(
-            lambda sentence: self.messages.state("mesh", Severity.WARNING, sentence and as_sentence(sentence))
-        )
+        THEME.changed.connect(self._show)
         self._show()
 
     def _lay_out(self) -> None:
@@ -199,6 +196,9 @@ class TrackTab(LiveTab):
         self.model = model
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
         self._show()
+
+    def _tell_loading(self, failure: str) -> None:
+        self.messages.state("mesh", Severity.WARNING, failure and as_sentence(failure))
 
     # Tracking
 
@@ -276,11 +276,6 @@ class TrackTab(LiveTab):
         return (
             "Lost: the model does not fit the patch; searching." if contact else "No contact: waiting for the object."
         )
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "pose"):
-            self._show()
 
 
 def pose_text(tracked: Tracked) -> str:

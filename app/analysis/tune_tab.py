@@ -258,8 +258,7 @@ class TuneTab(AnalysisTab):
 
     def _start(self) -> None:
         result = self._result
-        if result is None or result.source.length is None or self.run.busy:
-            return
+        assert result is not None and result.source.length is not None  # else Start is disabled
         self.messages.clear("failed")
         self._end_preview()
         axes = tuple(self._axes[path] for path, box in self.fields.items() if box.isChecked())

@@ -66,7 +66,6 @@ class AnalysisLauncher(QObject):
             context.messages.show_message(f"tab {name}", Severity.WARNING, sentence)
         #: One action for each tab, by name and in the order of the menu.
         self.actions = {name: self._action(name, kind) for name, kind in self._kinds.items()}
-        context.frameShown.connect(self._frame_shown)
 
     def open(self, name: str, _checked: bool = False) -> None:
         if self.window is None:
@@ -90,10 +89,6 @@ class AnalysisLauncher(QObject):
         made.triggered.connect(partial(self.open, name))
         return made
 
-    def _frame_shown(self) -> None:
-        if self.window is not None:
-            self.window.show_newest()
-
 
 class AnalysisWindow(QDialog):
     """Stays open beside the main window; passes each frame to the visible tab, and to others that go on."""
@@ -114,6 +109,7 @@ class AnalysisWindow(QDialog):
             self._columns[name] = vbox(within=page, margins=8)
             self.tabs.setTabToolTip(self.tabs.addTab(page, kind.title), kind.tip)
         self.tabs.currentChanged.connect(self._tab_changed)
+        context.frameShown.connect(self.show_newest)
         vbox(self.tabs, within=self, margins=(0, 4, 0, 0))
         self.resize(960, 640)
         if not self.restoreGeometry(context.settings.blob(_GEOMETRY)):

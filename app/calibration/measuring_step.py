@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Final
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QPushButton, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
@@ -33,6 +33,10 @@ OTHER_TASK: Final = "Another window takes frames at present: cancel that first, 
 class MeasuringStep(QWidget):
     """Base of panels that take frames, of a recording too, work on them, and change the preset as one undo step."""
 
+    #: Text, tooltip and, where there is one, key of the button that begins.
+    button: tuple[str, ...]
+    #: The preset field that the result, a model, becomes; empty for none.
+    field = ""
     #: Number of different frames that are wanted, and the fewest that are enough.
     wanted, min_frames = 1, 1
     #: Whether the simulator makes frames for it without its object; else those that the main window plays are taken.
@@ -43,10 +47,10 @@ class MeasuringStep(QWidget):
     ended = pyqtSignal(bool)  # whether there is a result; not, if it failed or was cancelled
     _takingFailed = pyqtSignal(str)
 
-    def __init__(self, context: Context, start: QPushButton) -> None:
+    def __init__(self, context: Context) -> None:
         super().__init__()
         self._context, self._document = context, context.document
-        self.start = start
+        self.start = push_button(*self.button)
         self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
         self.sentence = wrapped_label(selectable=True)
         self.progress = ProgressBar()
@@ -66,7 +70,7 @@ class MeasuringStep(QWidget):
         self._job.done.connect(self._done)
         self._job.failed.connect(self._fail)
         self._takingFailed.connect(self._give_up)
-        start.clicked.connect(self.begin)
+        self.start.clicked.connect(self.begin)
         self.cancel.clicked.connect(self.stop)
         context.worker.opened.connect(self._source_opened)
 
@@ -90,7 +94,7 @@ class MeasuringStep(QWidget):
 
     def changes(self) -> dict[str, Any]:
         """Return the preset fields that the result changes, and their new values."""
-        raise NotImplementedError
+        return {self.field: self.found.model_dump()} if self.field else {}
 
     def untouched_of(self, info: SourceInfo) -> Callable[[Progress], SensorFrame | None]:
         """Return the work that finds the preset's untouched frame, or the source's."""

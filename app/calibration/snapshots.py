@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from ...core.calibration.snapshots import take_snapshot as take_median
 from ...core.errors import counted
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.controls import push_button
 from ..context import Context
 from ..worker.jobs import Work
 from ..worker.results import SourceInfo
@@ -45,12 +43,13 @@ def moved_m(before: SensorFrame, after: SensorFrame, unit_m: float) -> float:
 class SnapshotStep(MeasuringStep):
     """Averages the next frames, also of a recording, into a snapshot while the membrane stands still."""
 
+    _tip = f"Average {FRAMES} frames, or as many as show the membrane standing still (Ctrl+T)"
+    button = "Ta&ke snapshot", _tip, "Ctrl+T"
     at_rest = False
     wanted = FRAMES
 
     def __init__(self, context: Context, rig: Rig) -> None:
-        tip = f"Average {FRAMES} frames, or as many as show the membrane standing still (Ctrl+T)"
-        super().__init__(context, push_button("Ta&ke snapshot", tip, "Ctrl+T"))
+        super().__init__(context)
         self._rig = rig
         self._number = 0  # of the first frame
         self._end = ""
@@ -83,6 +82,3 @@ class SnapshotStep(MeasuringStep):
         few = f"Averaged {counted(found.averaged, 'frame')} instead of {FRAMES}: {self._end}."
         words = few if found.averaged < FRAMES else "Snapshot taken."
         self.sentence.setText(f"{words} Add another inflation level, or continue with the points.")
-
-    def changes(self) -> dict[str, Any]:
-        return {}

@@ -140,17 +140,7 @@ class Check:
 def check_computer() -> list[Check]:
     """Run all checks in parallel and return their lines in order. It takes seconds and never raises."""
     with ThreadPoolExecutor(max_workers=4) as pool:
-        return [line for lines in pool.map(_guarded, all_checks()) for line in lines]
-
-
-def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
-    return (
-        check_packages,
-        check_shared_memory,
-        check_drivers,
-        check_cameras,
-        check_qt_libraries,
-    )
+        return [line for lines in pool.map(_guarded, CHECKS) for line in lines]
 
 
 def _guarded(check: Callable[[], Sequence[Check]]) -> Sequence[Check]:
@@ -279,3 +269,7 @@ def _qt_files() -> tuple[Path, ...]:
     home = Path(next(iter(spec.submodule_search_locations)))
     files = [*home.glob("QtGui*.so"), *(home / "Qt6" / "plugins" / "platforms").glob("libqxcb.so")]
     return tuple(sorted(files))
+
+
+#: In the order of their lines.
+CHECKS = (check_packages, check_shared_memory, check_drivers, check_cameras, check_qt_libraries)

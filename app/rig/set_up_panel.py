@@ -148,9 +148,7 @@ class SetUpPanel(QWidget):
         self._chosen: StepRow | None = None
         self._opening = ""  # name of the source that is being opened
         self._place: int | None = None  # in a recording, where nothing touches the membrane
-        self._search = Job(self)
-        self._search.done.connect(self._found_rest)
-        self._search.failed.connect(self._search_failed)
+        self._search = Job(self, done=self._found_rest, failed=self._search_failed)
         document = context.document
         #: The frames of the newest press.
         self.press: list[SensorFrame] = []

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from PyQt6.QtWidgets import QPushButton
 
 from ...core.calibration.check import is_worse
 from ...core.calibration.report import CalibrationReport, grade
@@ -22,7 +21,6 @@ from ...core.rig.verdict import judge_rig
 from ...core.sources.base import part_of
 from ...core.tuning.advice.proposal import Evidence
 from ...core.tuning.advice.suggest import AllProposals, suggest_all
-from ...widgets.basics.controls import push_button
 from ..calibration.finder import find_pairs
 from ..calibration.fitting import fit, report_changes
 from ..calibration.measuring_step import MeasuringStep
@@ -44,11 +42,10 @@ _RECENT: Final = 4
 class NoiseStep(MeasuringStep):
     """Measures at rest; the simulator takes its object away."""
 
+    _tip = "Measure the noise of both cameras, and the bias on prints, into the preset; nothing may move"
+    button = "&Measure noise", _tip
+    field = "noise"
     wanted, min_frames = NOISE_FRAMES, MIN_FRAMES
-
-    def __init__(self, context: Context) -> None:
-        tip = "Measure the noise of both cameras, and the bias on prints, into the preset; nothing may move"
-        super().__init__(context, push_button("&Measure noise", tip))
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         count, preset, untouched = self.wanted, self._document.preset, self.untouched_of(info)
@@ -59,19 +56,12 @@ class NoiseStep(MeasuringStep):
     def show_found(self, found: RigNoise) -> None:
         self.sentence.setText(" ".join(describe(found)))
 
-    def changes(self) -> dict[str, Any]:
-        return {"noise": self.found.model_dump()}
-
 
 class AlignmentStep(MeasuringStep):
     """Finds points on the membrane's texture and fits the alignment to them."""
 
+    button = "Find poi&nts", "Find points in both colour images and fit the alignment"
     wanted = FRAMES
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(
-            context, push_button("Find poi&nts", "Find points in both colour images and fit the alignment")
-        )
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         preset = self._document.preset
@@ -119,8 +109,8 @@ class PressStep(MeasuringStep):
     at_rest = False
     prompt, recorded = "Press an object firmly into the membrane and hold it", "Looking for a firm press"
 
-    def __init__(self, context: Context, press: list[SensorFrame], start: QPushButton) -> None:
-        super().__init__(context, start)
+    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
+        super().__init__(context)
         self._press = press
         self._untouched: SensorFrame | None = None
         self._free_m: Float64Array | None = None
@@ -179,9 +169,8 @@ def _held(looks: Sequence[_Look]) -> list[_Look]:
 class BiasStep(PressStep):
     """Measures the bias between the cameras where an object is pressed."""
 
-    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
-        tip = "Press an object of 1,000 mm² or more firmly into the membrane and hold it"
-        super().__init__(context, press, push_button("Measure &bias", tip))
+    button = "Measure &bias", "Press an object of 1,000 mm² or more firmly into the membrane and hold it"
+    field = "noise"
 
     def at_hand(self) -> list[SensorFrame]:
         return []  # each measurement has a press of its own
@@ -230,16 +219,11 @@ class BiasStep(PressStep):
     def show_found(self, found: RigNoise) -> None:
         self.sentence.setText(describe(found)[-1])
 
-    def changes(self) -> dict[str, Any]:
-        return {"noise": self.found.model_dump()}
-
 
 class SuggestStep(PressStep):
     """Takes over the suggestions for mask, test and limits, as one undo step."""
 
-    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
-        tip = "Measure mask, contact test and limits, and take them over"
-        super().__init__(context, press, push_button("&Suggest", tip))
+    button = "&Suggest", "Measure mask, contact test and limits, and take them over"
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
         preset, untouched = self._document.preset, self.untouched_of(info)
@@ -258,9 +242,8 @@ class SuggestStep(PressStep):
 class VerdictStep(PressStep):
     """Judges the preset on the press: the error of a patch's boundary and the weakest link."""
 
-    def __init__(self, context: Context, press: list[SensorFrame]) -> None:
-        tip = "Tell the error of a patch's boundary, and what limits it"
-        super().__init__(context, press, push_button("&Judge", tip))
+    button = "&Judge", "Tell the error of a patch's boundary, and what limits it"
+    field = "verdict"
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
         preset, untouched = self._document.preset, self.untouched_of(info)
@@ -268,6 +251,3 @@ class VerdictStep(PressStep):
 
     def show_found(self, found: Verdict) -> None:
         self.sentence.setText(found.sentence)
-
-    def changes(self) -> dict[str, Any]:
-        return {"verdict": self.found.model_dump()}

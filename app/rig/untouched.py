@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any
 
 from PyQt6.QtCore import QObject
 
@@ -11,7 +10,6 @@ from ...core.errors import SourceError, counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import UntouchedRecord
 from ...core.rig.untouched import UNTOUCHED_FRAMES, average_untouched
-from ...widgets.basics.controls import push_button
 from ...widgets.basics.messages import Severity
 from ..calibration.measuring_step import MeasuringStep
 from ..context import Context
@@ -23,11 +21,10 @@ from ..worker.results import SourceInfo
 class UntouchedStep(MeasuringStep):
     """Averages the next frames while nothing touches the membrane, as one undoable step."""
 
+    button = "Cap&ture", "Average the next frames; nothing may touch the membrane"
+    field = "untouched"
     wanted = UNTOUCHED_FRAMES
     prompt, recorded = "Do not touch the membrane", "Averaging frames"
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context, push_button("Cap&ture", "Average the next frames; nothing may touch the membrane"))
 
     def at_hand(self) -> list[SensorFrame]:
         """Return the untouched frame of a recording that has one, unless the preset has one already."""
@@ -54,9 +51,6 @@ class UntouchedStep(MeasuringStep):
             f"Captured {counted(found.frames, 'frame')}{fewer}. "
             "Save the preset (Ctrl+S in the main window) to write the untouched frame beside it."
         )
-
-    def changes(self) -> dict[str, Any]:
-        return {"untouched": self.found.model_dump()}
 
 
 class UntouchedKeeper(QObject):

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction, QCloseEvent
-from PyQt6.QtWidgets import QDialog, QWidget
+from PyQt6.QtWidgets import QDialog
 
 from ...core.calibration.check import Drift
 from ...core.errors import as_sentence
-from ...core.model.frames import Rig, SensorFrame
-from ...core.preset import Preset
 from ...core.rig.drift import LOOKS, RigCheck, Watch, WatchReport, check_rig, drift_or_reason
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
@@ -54,9 +51,7 @@ class WatchControl(QObject):
         self._watch: Callable[[], Watch] | None = None
         self._key: object = None
         self._looks, self._failed = 0, False
-        self.job = Job(self)
-        self.job.done.connect(self._tell)
-        self.job.failed.connect(self._fail)
+        self.job = Job(self, done=self._tell, failed=self._fail)
         context.frameShown.connect(self._look)
         context.worker.opened.connect(self._forget)
         action.toggled.connect(self._forget)
@@ -68,21 +63,14 @@ class WatchControl(QObject):
             context.messages.show_message("check", Severity.WARNING, _NO_FRAME, subject=SOURCE)
             return
         if self.window is None:
-            self.window = DriftWindow(context.window, self._calibrate, self._capture)
-            self.window.again.clicked.connect(self._check)
+            self.window = DriftWindow(context, self._calibrate, self._capture)
         bring_up(self.window)
-        self._check()
+        self.window.check()
 
     def close(self) -> None:
         self.job.stop()
         if self.window is not None:
             self.window.close()
-
-    def _check(self) -> None:
-        document, result = self._context.document, self._context.result
-        if self.window is not None and result is not None:
-            frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
-            self.window.check(document.preset, document.untouched_home, result.source.rig, frame)
 
     def _forget(self) -> None:
         self._key = self.first = None
@@ -153,13 +141,14 @@ class WatchControl(QObject):
 
 
 class DriftWindow(QDialog):
-    """Checks a frame and shows the drift in pixels and millimetres, and what mends it."""
+    """Checks the frame on the screen and shows the drift in pixels and millimetres, and what mends it."""
 
-    def __init__(self, parent: QWidget, calibrate: Callable[[], None], capture: Callable[[], None]) -> None:
-        super().__init__(parent)
+    def __init__(self, context: Context, calibrate: Callable[[], None], capture: Callable[[], None]) -> None:
+        super().__init__(context.window)
         self.setWindowTitle("Check for drift")
+        self._context = context
         self.found: RigCheck | None = None
-        self._job = Job(self)
+        self._job = Job(self, done=self._show, failed=lambda sentence: self.sentence.setText(as_sentence(sentence)))
         self.sentence, self.unchecked = wrapped_label(_CHECKING, verdict=True), wrapped_label()
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
         title = f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
@@ -173,20 +162,24 @@ class DriftWindow(QDialog):
         row = hbox(STRETCH, self.again, self.calibrate, self.capture, leave)
         vbox(self.sentence, self.unchecked, (self.image, 1), row, within=self)
         self.resize(760, 720)
+        self.again.clicked.connect(self.check)
         self.calibrate.clicked.connect(calibrate)
         self.capture.clicked.connect(capture)
         leave.clicked.connect(self.close)
-        self._job.done.connect(self._show)
-        self._job.failed.connect(lambda sentence: self.sentence.setText(as_sentence(sentence)))
 
-    def check(self, preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> None:
-        """Check a preset on a frame, on another thread; its untouched frame lies beside ``preset_path``."""
+    def check(self) -> None:
+        """Check the newest frame, on another thread."""
+        document, result = self._context.document, self._context.result
+        if result is None:
+            return
+        preset, home, rig = document.preset, document.untouched_home, result.source.rig
+        frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
         self.sentence.setText(_CHECKING)
         self.unchecked.clear()
         self.calibrate.setVisible(rig.has_proximity)
         self.image.layer.set_marks([])
         self.image.set_image(picture(frame, rig, "tactile", "color").pixels)
-        self._job.start(lambda _: check_rig(preset, preset_path, rig, frame))
+        self._job.start(lambda _: check_rig(preset, home, rig, frame))
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
         self._job.stop()

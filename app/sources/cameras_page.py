@@ -47,7 +47,7 @@ class CamerasPage(SourcePage):
 
     def __init__(self, cameras: CamerasSection) -> None:
         super().__init__()
-        self._search = Job(self)
+        self._search = Job(self, done=self._show_answer, failed=self._show_failure)
         self._remembered = cameras.proximity.serial, cameras.tactile.serial
         self._found: list[dict[str, Any]] = []
         self._hint = ""
@@ -70,8 +70,6 @@ class CamerasPage(SourcePage):
         self.proximity.currentIndexChanged.connect(self._check)
         self.tactile.currentIndexChanged.connect(self._check)
         self.list.activated.connect(lambda _: self.activated.emit())
-        self._search.done.connect(self._show_answer)
-        self._search.failed.connect(self._show_failure)
 
     @property
     def serials(self) -> tuple[str, str] | None:

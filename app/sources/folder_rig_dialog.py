@@ -34,9 +34,7 @@ class FolderRigDialog(QDialog):
         self.setWindowTitle("Rig of a folder of images")
         self._folder, self._dialogs = folder, dialogs.over(self)
         self.found: FolderRig | None = None
-        self._job = Job(self)
-        self._job.done.connect(self._show)
-        self._job.failed.connect(lambda sentence: self._refuse(sentence) if sentence else None)
+        self._job = Job(self, self._show, lambda sentence: self._refuse(sentence) if sentence else None)
         grid = QGridLayout()
         two = {"proximity_depth", "tactile_depth"} <= set(slots)  # else the only depth is the tactile camera's
         roles = ["proximity", "tactile", "color"] if two and "proximity_color" in slots else list(_LENSES)[not two : 2]

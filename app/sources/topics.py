@@ -165,9 +165,7 @@ class TopicsControl(QObject):
         super().__init__(parent)
         self._window, self._dialogs, self._use, self._give_up = parent, dialogs, use, give_up
         self._name = ""
-        self._job = Job(self)
-        self._job.done.connect(self._ask)
-        self._job.failed.connect(lambda _: self._use(self._name))  # opening it tells what is wrong
+        self._job = Job(self, self._ask, lambda _: self._use(self._name))  # opening it tells what is wrong
         self.dialog: TopicsDialog | FolderRigDialog | None = None
 
     def open(self, name: str) -> None:

@@ -173,7 +173,7 @@ class Actions:
         except KeyError:
             raise AttributeError(f"no action is called {name!r}") from None
 
-    def show_two_cameras(self, two: bool) -> None:
+    def set_two_cameras(self, two: bool) -> None:
         """Enable what needs two cameras, or say why it is disabled."""
         for row in _rows():
             if row.name in _OF_TWO_CAMERAS:

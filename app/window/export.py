@@ -41,14 +41,9 @@ class Export(QObject):
     def __init__(self, context: Context, bar: ProgressCard, views: ViewArea) -> None:
         super().__init__(context)
         self._context, self._animation = context, Animation(context, views)
-        self._job = Job(self)
+        self._job = Job(self, partial(self._report, Severity.INFO), partial(self._report, Severity.ERROR))
         self._job.progress.connect(bar.show_share)
         self._job.busyChanged.connect(bar.setVisible)
-        report = partial(context.messages.show_message, "export", subject=TASK)
-        self._job.done.connect(partial(report, Severity.INFO))
-        self._job.failed.connect(
-            lambda sentence: report(Severity.ERROR if sentence else Severity.INFO, sentence or "Export cancelled.")
-        )
         bar.cancel.clicked.connect(self._job.cancel)
 
     def kinds(self) -> list[str]:
@@ -73,6 +68,11 @@ class Export(QObject):
     def close(self) -> None:
         """Cancel; a file that is not complete goes."""
         self._job.stop()
+
+    def _report(self, severity: Severity, sentence: str) -> None:
+        """Tell how an export ended; an empty sentence: it was cancelled."""
+        shown = severity if sentence else Severity.INFO
+        self._context.messages.show_message("export", shown, sentence or "Export cancelled.", subject=TASK)
 
     def _export(self, result: Result, path: Path) -> None:
         self._context.messages.clear_subject(TASK)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from PyQt6.QtCore import QObject
+from PyQt6.QtWidgets import QApplication
 
 from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import copy_text
 from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.comparison import differing_fields
@@ -32,7 +32,7 @@ _SHOWN_VALUES: Final = 2
 class FileFlows(QObject):
     """Opens and saves, with dialogs and messages."""
 
-    def __init__(self, context: Context, autosave: Autosave) -> None:
+    def __init__(self, context: Context, autosave: Autosave, actions: Actions) -> None:
         super().__init__(context)
         self._context, self._autosave = context, autosave
         context.saveRequested.connect(self.save)
@@ -40,8 +40,6 @@ class FileFlows(QObject):
         self._settings, self._messages = context.settings, context.messages
         context.worker.opened.connect(self._note_opened)
         context.document.fileChanged.connect(self._note_preset)
-
-    def connect_actions(self, actions: Actions) -> None:
         actions.new_preset.triggered.connect(lambda _: self.new())
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
@@ -102,9 +100,10 @@ class FileFlows(QObject):
 
     def _copy(self, what: str, program: Callable[[Document, str], str]) -> None:
         """Copy the program that computes the same patches headless."""
-        result = self._context.result
-        source = self._settings.last_opened()[0] if result is None else result.source.name
-        if self._told(lambda: copy_text(program(self._document, source or "sim"))):
+        source = self._context.source_name or self._settings.last_opened()[0] or "sim"
+        clipboard = QApplication.clipboard()
+        assert clipboard is not None
+        if self._told(lambda: clipboard.setText(program(self._document, source))):
             sentence = f"The {what} that computes these patches was copied."
             self._messages.show_message("copied", Severity.INFO, sentence, subject=TASK)
 

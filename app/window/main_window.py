@@ -6,11 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
+from PyQt6.QtCore import QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
-from ...core.model.frames import Rig
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
@@ -20,7 +19,7 @@ from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
 from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
-from ...widgets.basics.theme import ThemeChoice, theme_name
+from ...widgets.basics.theme import THEME, ThemeChoice, theme_name
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ...widgets.plots.time_strip import TimeStrip
@@ -99,7 +98,7 @@ class MainWindow(QMainWindow):
         self.status = FrameStatus()
         self.dialogs = Dialogs(self, settings, native_dialogs)
         self.context = Context(self.document, self.worker, self.messages, self.dialogs, settings, data_folder, self)
-        self.file_flows = FileFlows(self.context, self.autosave)
+        self.file_flows = FileFlows(self.context, self.autosave, self.actions_)
         self.presenter = FramePresenter(
             self.context,
             views=self.views,
@@ -233,7 +232,7 @@ class MainWindow(QMainWindow):
         worker.playbackChanged.connect(self.status.show_playback)
         self.actions_.record.toggled.connect(self.status.show_recording)
         worker.stateChanged.connect(self.presenter.show_state)
-        transport.seekRequested.connect(worker.seek)
+        transport.position.valueChanged.connect(worker.seek)
         self.opening.cancel.clicked.connect(worker.cancel_open)
 
     def _connect_views(self) -> None:
@@ -243,7 +242,8 @@ class MainWindow(QMainWindow):
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wantedChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
-        self.panel.maskShown.connect(self._send_wanted)
+        self.panel.show_mask.clicked.connect(self._send_wanted)
+        THEME.changed.connect(self._send_wanted)  # also the desktop's
         self.eyedropper.started.connect(self._show_color_image)
         for path in self.panel.histograms:
             self.panel.sections[path.partition(".")[0]].button.folded.connect(self._send_wanted)
@@ -255,7 +255,6 @@ class MainWindow(QMainWindow):
         actions.next.triggered.connect(lambda: worker.step(1))
         actions.first.triggered.connect(lambda: worker.seek(0))
         actions.loop.triggered.connect(worker.set_loop)
-        flows.connect_actions(actions)
         actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.check_drift.triggered.connect(self.watch.open)
@@ -347,18 +346,14 @@ class MainWindow(QMainWindow):
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
         self._enable_measuring(True)
-        self._leave_out_missing(info.rig)
+        two = info.rig.has_proximity  # else what needs two cameras is hidden or disabled
+        self.views.set_two_cameras(two)
+        self.strip.set_two_cameras(two)
+        self.panel.set_two_cameras(two)
+        self.actions_.set_two_cameras(two)
         self.settings.add_recent(RECENT, info.name)
         self.mode_bar.show_source(info)
         self.file_flows.offer_preset(info.preset)
-
-    def _leave_out_missing(self, rig: Rig) -> None:
-        """Hide or disable what needs two cameras while the rig has a tactile camera only."""
-        two = rig.has_proximity
-        self.views.show_rig(rig)
-        self.strip.set_two_cameras(two)
-        self.panel.set_two_cameras(two)
-        self.actions_.show_two_cameras(two)
 
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
@@ -446,13 +441,6 @@ class MainWindow(QMainWindow):
         with QSignalBlocker(self.menus.themes):
             for entry in self.menus.themes.actions():
                 entry.setChecked(entry.data() == choice)
-        self._send_wanted()
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Redraw frames after a change of theme, including the desktop's."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "panel"):
-            self._send_wanted()
 
     def restore_layout(self) -> None:
         """Restore the layout of the last start; missing or unusable values take their defaults."""
@@ -467,7 +455,7 @@ class MainWindow(QMainWindow):
             parts.restoreState(settings.blob(name))
         self.modes.choose(settings.text("window/mode"))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
-        self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
+        self.views.restore(settings.text("view/point_size"), settings.text("view/color_by"))
         hidden = settings.text("window/hidden").split(",")
         for name in _TOGGLES:
             getattr(self.actions_, name).setChecked(name not in hidden)

@@ -152,7 +152,7 @@ class Eyedropper(QObject):
         self.mode = "off"
         panel.eyedropperRequested.connect(self.use)
         strip.clicked.connect(self._clicked)
-        strip.pickingDone.connect(lambda: self.use("off"))
+        strip.banner.done.clicked.connect(lambda: self.use("off"))
 
     def use(self, mode: str) -> None:
         if mode != "off" and self.mode == "off":

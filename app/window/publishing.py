@@ -116,9 +116,8 @@ class PublishControl(QObject):
             edited.connect(self._remember)
         self._timer = timer(self, _INTERVAL_MS, self._show)
         self.panel.start.clicked.connect(self._switch)
-        self._starting = Job(self)  # ROS 2 takes most of a second
-        self._starting.done.connect(self._started)
-        self._starting.failed.connect(lambda sentence: self.panel.show_state(False, sentence, error=True))
+        # ROS 2 takes most of a second
+        self._starting = Job(self, self._started, lambda sentence: panel.show_state(False, sentence, error=True))
 
     def close(self) -> None:
         self._closed.set()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSpinBox, QWidget
 
@@ -54,15 +54,12 @@ class FrameNumber(QSpinBox):
 class Transport(QWidget):
     """The buttons of playback, and the number of the frame."""
 
-    seekRequested = pyqtSignal(int)
-
     def __init__(self, actions: Actions) -> None:
         super().__init__()
         self._actions = actions
         self.setAutoFillBackground(True)  # else each frame number would paint all widgets behind it
         self.state = PlaybackState(length=1)
         self.position = FrameNumber()
-        self.position.valueChanged.connect(self.seekRequested)
         actions.go_to.triggered.connect(self._go_to)
         buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop))
         hbox(*buttons, self.position, within=self, margins=0, spacing=4)

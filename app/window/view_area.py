@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -13,7 +12,6 @@ from PyQt6.QtWidgets import QSlider, QWidget
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.model.arrays import Float64Array
-from ...core.model.frames import Rig
 from ...core.model.patch import Provenance
 from ...widgets.basics.colormaps import (
     LATE_VERDICTS,
@@ -253,10 +251,10 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_large(view is self.large or self.large.isHidden())
 
-    def show_rig(self, rig: Rig) -> None:
+    def set_two_cameras(self, two: bool) -> None:
         """Leave out the view of a camera that the rig does not have."""
-        if rig.has_proximity != self._two_cameras:
-            self._two_cameras = rig.has_proximity
+        if two != self._two_cameras:
+            self._two_cameras = two
             self._arrange()
 
     def chosen(self, name: CloudName) -> bool:
@@ -283,11 +281,11 @@ class ViewArea(QWidget):
         painter.end()
         return picture
 
-    def restore(self, point_size: float, color_by: str) -> None:
+    def restore(self, point_size: str, color_by: str) -> None:
         if color_by in list(ColorBy):
             self.choose_colors(ColorBy(color_by))
-        if math.isfinite(point_size):
-            self.point_size.setValue(round(point_size))
+        if point_size.isdecimal():
+            self.point_size.setValue(min(int(point_size), POINT_SIZES[1]))
 
 
 def legend_of(name: CloudName, rendered: Rendered, theme: ThemeName) -> Legend:

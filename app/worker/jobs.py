@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from threading import Event
 from typing import Any
 
@@ -17,6 +16,7 @@ from .threads import abandon
 
 Progress = Callable[[float, str], None]
 Work = Callable[[Progress], Any]
+Slot = Callable[[Any], object]
 
 
 class _CancelledError(TactuneError):
@@ -54,6 +54,8 @@ class _Thread(QThread):
 class Job(QObject):
     """Does work on its own thread. Work started meanwhile waits; only the newest is kept waiting.
 
+    The slots ``done`` and ``failed`` are connected to the signals of that name.
+
     Signals
     -------
     progress(share: float, words: str)
@@ -68,10 +70,14 @@ class Job(QObject):
     failed = pyqtSignal(str)
     busyChanged = pyqtSignal(bool)
 
-    def __init__(self, parent: QObject | None = None) -> None:
+    def __init__(self, parent: QObject, done: Slot | None = None, failed: Slot | None = None) -> None:
         super().__init__(parent)
         self._thread: _Thread | None = None
         self._next: Work | None = None
+        if done is not None:
+            self.done.connect(done)
+        if failed is not None:
+            self.failed.connect(failed)
 
     @property
     def busy(self) -> bool:
@@ -123,24 +129,23 @@ class Job(QObject):
 
 
 class JobRow(QWidget):
-    """Visible while one of the jobs reports progress; work that reports none, as on each frame, shows nothing."""
+    """Visible while a job reports progress; work that reports none, as on each frame, shows nothing."""
 
-    def __init__(self, *jobs: Job) -> None:
+    def __init__(self, job: Job) -> None:
         super().__init__()
         self.bar, self.cancel = ProgressBar(), push_button("Cance&l", "Cancel")
         self.bar.setAccessibleName("Progress")
         hbox((self.bar, 1), self.cancel, within=self, margins=0)
         keep_place(self)
-        for job in jobs:
-            job.progress.connect(self._show)
-            job.busyChanged.connect(partial(self._end, jobs))
-            self.cancel.clicked.connect(job.cancel)
+        job.progress.connect(self._show)
+        job.busyChanged.connect(self._end)
+        self.cancel.clicked.connect(job.cancel)
         self.hide()
 
     def _show(self, share: float, words: str) -> None:
         self.bar.show_share(share, words)
         self.setVisible(share < 1)
 
-    def _end(self, jobs: tuple[Job, ...], _busy: bool) -> None:
-        if not any(job.busy for job in jobs):
+    def _end(self, busy: bool) -> None:
+        if not busy:
             self.hide()

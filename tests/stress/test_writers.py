@@ -100,7 +100,7 @@ def test_two_windows_forget_no_value_of_each_other(tmp_path, start, qapp):
     for window, _ in windows:
         window.join(HUNG_S)
     settings = Settings(tmp_path / "window.json")
-    assert all(settings.number(f"{who}/{number}", -1) == number for who in range(2) for number in range(50))
+    assert all(settings.text(f"{who}/{number}") == str(number) for who in range(2) for number in range(50))
 
 
 @pytest.mark.parametrize("name", OURS)

@@ -245,7 +245,7 @@ def autosave(folder: Path, n: int) -> None:
 def remember(folder: Path, n: int) -> None:
     application()
     settings = Settings(folder / "window.json")
-    settings.set("view/point_size", 2.0 + n)
+    settings.set("view/point_size", 2 + n)
     settings.set("theme", "dark")
     settings.set("window/geometry", QWidget().saveGeometry())
     settings.sync()
@@ -254,7 +254,7 @@ def remember(folder: Path, n: int) -> None:
 def read_settings(folder: Path) -> bool:
     application()
     settings = Settings(folder / "window.json")
-    settings.number("view/point_size", 1.0)
+    settings.text("view/point_size")
     settings.recent("source")
     QWidget().restoreGeometry(settings.blob("window/geometry"))
     return settings.text("theme") == "dark"

@@ -9,7 +9,6 @@ from PyQt6.QtCore import QEvent, QObject, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QKeyEvent, QKeySequence, QPainter, QPaintEvent, QPalette, QShortcut
 from PyQt6.QtWidgets import (
     QAbstractButton,
-    QApplication,
     QComboBox,
     QDialogButtonBox,
     QFrame,
@@ -23,7 +22,7 @@ from PyQt6.QtWidgets import (
 
 from .icons import icon
 from .layouts import hbox, vbox
-from .theme import text_font, theme_colors
+from .theme import THEME, text_font, theme_colors
 
 _Widget = TypeVar("_Widget", bound=QWidget)
 
@@ -31,12 +30,6 @@ _Widget = TypeVar("_Widget", bound=QWidget)
 def shortened(sentence: str) -> str:
     """Return a sentence of at most 600 characters; the centre of a longer one, such as a name of any length, goes."""
     return sentence if len(sentence) <= 600 else f"{sentence[:300]} … {sentence[-300:]}"
-
-
-def copy_text(text: str) -> None:
-    clipboard = QApplication.clipboard()
-    assert clipboard is not None
-    clipboard.setText(text)
 
 
 def named(widget: _Widget, name: str, tip: str = "") -> _Widget:
@@ -188,19 +181,18 @@ class TintedLabel(QLabel):
         super().__init__(text)
         self._color = ""
         self.tint(color)
+        THEME.changed.connect(self._recolor)
 
     def tint(self, color: str) -> None:
-        before, self._color = self._color, color  # first: a change of the palette tints again
-        if color or before:
-            palette = QPalette()
-            if color:
-                palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), color)))
-            self.setPalette(palette)
+        if color != self._color:
+            self._color = color
+            self._recolor()
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and self._color:
-            self.tint(self._color)
+    def _recolor(self) -> None:
+        palette = QPalette()
+        if self._color:
+            palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), self._color)))
+        self.setPalette(palette)
 
 
 class NoteLabel(TintedLabel):

@@ -56,10 +56,6 @@ class FieldSpec:
     advanced: bool = False
 
     @property
-    def name(self) -> str:
-        return self.path.rpartition(".")[2]
-
-    @property
     def tooltip(self) -> str:
         parts = [self.description]
         words = _UNITS.get(self.unit, (1.0, "", ""))[2]

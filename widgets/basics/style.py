@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .theme import GRID, ThemeChoice, ThemeName, make_palette, set_theme, theme_colors
+from .theme import GRID, THEME, ThemeChoice, ThemeName, make_palette, theme_colors
 
 _Metric = QStyle.PixelMetric
 _METRICS: Final = {
@@ -214,20 +214,16 @@ def use_style(app: QApplication) -> None:
     if app.findChild(_FocusRing) is None:
         app.setStyle(_Style())
         _FocusRing(app)
+        if (hints := app.styleHints()) is not None:
+            hints.colorSchemeChanged.connect(lambda _: apply_theme(app, THEME.choice))
 
 
-def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
-    """Apply a theme to the whole application and return the resolved one; "system" follows the desktop."""
+def apply_theme(app: QApplication, choice: ThemeChoice) -> None:
+    """Apply a theme to the whole application; "system" follows the desktop."""
     hints = app.styleHints()
-    name: ThemeName = cast(ThemeName, choice)
-    if choice == "system":
-        name = "dark" if hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark else "light"
-    app.setProperty("tactune_theme_choice", choice)
-    if hints is not None and not app.property("tactune_follows_desktop"):
-        app.setProperty("tactune_follows_desktop", True)
-        chosen = "tactune_theme_choice"
-        hints.colorSchemeChanged.connect(lambda _: apply_theme(app, cast(ThemeChoice, app.property(chosen))))
-    colors = set_theme(name)
+    desktop: ThemeName = "dark" if hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark else "light"
+    THEME.choice, THEME.name = choice, desktop if choice == "system" else choice
+    colors = theme_colors()
     pg.setConfigOptions(background=colors.base, foreground=colors.text)
     icons = (Path(__file__).parents[1] / "icons").as_posix()
     sheet = _SHEET.substitute(asdict(colors), icons=icons)
@@ -235,4 +231,4 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
         use_style(app)
         app.setPalette(make_palette(colors))
         app.setStyleSheet(sheet)
-    return name
+        THEME.changed.emit()

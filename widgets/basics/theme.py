@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QColor, QFont, QPalette
 from PyQt6.QtWidgets import QApplication
 
@@ -71,12 +72,21 @@ _THEMES: Final[dict[ThemeName, ThemeColors]] = {
     "dark": ThemeColors(**{name: dark for name, (_, dark) in _COLORS.items()}),
 }
 
-_state: dict[str, ThemeName] = {"name": "light"}
+
+class Theme(QObject):
+    """The present theme: what was chosen, and the name to which "system" is resolved."""
+
+    changed = pyqtSignal()  # all widgets have the new palette
+
+    choice: ThemeChoice = "system"
+    name: ThemeName = "light"
+
+
+THEME: Final = Theme()
 
 
 def theme_name() -> ThemeName:
-    """Return the current theme; "system" is resolved to light or dark."""
-    return _state["name"]
+    return THEME.name
 
 
 def theme_colors(name: ThemeName | None = None) -> ThemeColors:
@@ -88,11 +98,6 @@ def text_font(size: TextSize, *, bold: bool = False) -> QFont:
     font.setPointSizeF(font.pointSizeF() * _TEXT_SIZES[size])
     font.setBold(bold)
     return font
-
-
-def set_theme(name: ThemeName) -> ThemeColors:
-    _state["name"] = name
-    return _THEMES[name]
 
 
 def make_palette(colors: ThemeColors) -> QPalette:

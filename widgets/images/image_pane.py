@@ -109,8 +109,6 @@ class ImagePane(QWidget):
     doubleClicked = pyqtSignal()
     viewChanged = pyqtSignal(object)  # zoomed or panned to this QRectF of the image
     viewMoved = pyqtSignal()  # zoomed or panned by a person
-    resized = pyqtSignal()
-    wipeDragged = pyqtSignal(float)  # to this share of the visible width
 
     def __init__(self, title: str) -> None:
         super().__init__()
@@ -137,9 +135,7 @@ class ImagePane(QWidget):
         self.view.scene().sigMouseClicked.connect(self._clicked)
         self.view.left.connect(lambda: self.hovered.emit(-1, -1))
         self.box.sigRangeChanged.connect(self._range_changed)
-        self.view.grip.dragged.connect(self.wipeDragged)
         self.box.sigRangeChangedManually.connect(lambda *_: self.viewMoved.emit())
-        self.box.sigResized.connect(lambda *_: self.resized.emit())
 
     def set_pixels(
         self, pixels: Uint8Array | None, size: tuple[int, int], stride: int, right: Uint8Array | None = None

@@ -64,7 +64,6 @@ class ImageStrip(QWidget):
     regionEdited = pyqtSignal(object, int)  # region of interest (left, top, width, height), gesture
     wantedChanged = pyqtSignal()  # other images or another resolution are needed; a paused frame is rendered again
     wipeDragged = pyqtSignal(float)  # share: the wipe was dragged in one of the images
-    pickingDone = pyqtSignal()  # *Done* was pressed in the banner
 
     def __init__(self) -> None:
         super().__init__()
@@ -97,7 +96,6 @@ class ImageStrip(QWidget):
         self.tabs.currentChanged.connect(lambda _: self.show_panes())
         vbox(self.tabs, (self._grid, 1), within=self, margins=0, spacing=4)
         self.banner = _Banner(self)
-        self.banner.done.clicked.connect(self.pickingDone)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.show_panes()
         self.reset_view()
@@ -220,8 +218,8 @@ class ImageStrip(QWidget):
         pane.clicked.connect(lambda u, v, modifiers: self.clicked.emit(name, u, v, modifiers))
         pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
         pane.viewMoved.connect(lambda: setattr(self, "_fitted", False))
-        pane.resized.connect(self._pane_resized)
-        pane.wipeDragged.connect(self.wipeDragged)
+        pane.box.sigResized.connect(self._pane_resized)
+        pane.view.grip.dragged.connect(self.wipeDragged)
         self.regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
 
     def point_at(self, u: int, v: int) -> None:
@@ -243,7 +241,7 @@ class ImageStrip(QWidget):
         self._linking = False
         self._check_hint()
 
-    def _pane_resized(self) -> None:
+    def _pane_resized(self, *_: object) -> None:
         if self._fitted:
             self.reset_view()
 

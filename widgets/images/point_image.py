@@ -131,7 +131,7 @@ class PointImage(ImagePane):
         viewport.setCursor(Qt.CursorShape.CrossCursor)
         viewport.installEventFilter(self)
         self.viewMoved.connect(lambda: setattr(self, "_touched", True))
-        self.resized.connect(self._fit_untouched)
+        self.box.sigResized.connect(self._fit_untouched)
 
     def set_image(self, pixels: Uint8Array | None, message: str = "") -> None:
         """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``, or say why there is none."""
@@ -254,6 +254,6 @@ class PointImage(ImagePane):
         else:
             super().keyPressEvent(event)
 
-    def _fit_untouched(self) -> None:
+    def _fit_untouched(self, *_: object) -> None:
         if not self._touched:
             self.show_rect(self.image_rect())

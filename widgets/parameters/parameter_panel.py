@@ -56,7 +56,6 @@ class ParameterPanel(QScrollArea):
     #: Values, gesture: a section was reset: several fields at once.
     valuesEdited = pyqtSignal(object, int)
     eyedropperRequested = pyqtSignal(str)  # mode: "set", "expand", or "off"
-    maskShown = pyqtSignal(bool)  # whether the colour image is tinted where the mask covers it
     suggestRequested = pyqtSignal(str)  # section: a proposal for a section is wanted
 
     def __init__(self, suggestible: Collection[str] = ()) -> None:
@@ -215,7 +214,6 @@ class ParameterPanel(QScrollArea):
                 button = self.eyedroppers[mode] = _bar_button(text, tip, f"Eyedropper: {mode}")
                 button.clicked.connect(lambda on, mode=mode: self.eyedropperRequested.emit(mode if on else "off"))
             self.show_mask.setChecked(True)
-            self.show_mask.clicked.connect(self.maskShown)
             bar, buttons = QWidget(), (*self.eyedroppers.values(), self.show_mask)
             hbox(*((button, 1) for button in buttons), within=bar, margins=0, spacing=4)
             form.add_line(bar, "Eyedropper")

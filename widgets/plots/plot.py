@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtCore import Qt
 
 from ...core.errors import minus
-from ..basics.theme import ThemeColors, theme_colors
+from ..basics.theme import THEME, ThemeColors, theme_colors
 
 
 class _Axis(pg.AxisItem):  # type: ignore[misc]
@@ -33,7 +33,6 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
     """A plot without menu and buttons that follows the theme; only if ``movable`` the mouse moves and scales it."""
 
     def __init__(self, bottom: str = "", left: str = "", *, movable: bool = False, unit: str = "") -> None:
-        self._recolor: Callable[[ThemeColors], object] | None = None
         super().__init__(axisItems={"left": _Axis("left", ""), "bottom": _Axis("bottom", unit)})
         item = self.getPlotItem()
         item.setMenuEnabled(False)
@@ -56,13 +55,9 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
 
     def follow_theme(self, recolor: Callable[[ThemeColors], object] | None = None) -> None:
         """Colour the plot now and when the theme changes; then ``recolor`` colours its curves."""
-        self._recolor = recolor or (lambda _colors: None)
+        self._recolor: Callable[[ThemeColors], object] = recolor or (lambda _colors: None)
+        THEME.changed.connect(self._apply_theme)
         self._apply_theme()
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and self._recolor is not None:
-            self._apply_theme()
 
     def _apply_theme(self) -> None:
         colors, item = theme_colors(), self.getPlotItem()
@@ -71,7 +66,6 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
             axis: Any = item.getAxis(name)
             axis.setPen(colors.border)
             axis.setTextPen(colors.text)
-        assert self._recolor is not None
         self._recolor(colors)
         if item.legend is not None:
             item.legend.setLabelTextColor(colors.text)

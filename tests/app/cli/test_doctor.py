@@ -34,7 +34,7 @@ def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on(monkeypatch):
         raise ZeroDivisionError("dust")
 
     checks = [check_the_moon, lambda: [Check("Sun", State.OK, "shines")]]
-    monkeypatch.setattr(doctor, "all_checks", lambda: checks)
+    monkeypatch.setattr(doctor, "CHECKS", checks)
     lines = doctor.check_computer()
     assert [(line.name, line.state) for line in lines] == [("the moon", State.WARN), ("Sun", State.OK)]
     assert "ZeroDivisionError: dust" in lines[0].found
@@ -97,7 +97,7 @@ def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
 
 def test_the_report_is_lines_with_remedies_and_its_status_tells(tactune, monkeypatch):
     lines = [Check("Sun", State.OK, "shines"), Check("Moon", State.WARN, "waxes", "Wait.")]
-    monkeypatch.setattr(doctor, "all_checks", lambda: [lambda: lines])
+    monkeypatch.setattr(doctor, "CHECKS", [lambda: lines])
     done = tactune("doctor")
     assert done.status == 0
     assert done.out.splitlines()[:3] == [
