@@ -9,8 +9,8 @@ from pathlib import Path
 from threading import Thread
 
 from ...core.contact import CONTACT_TESTS
-from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
+from ...core.rig.untouched import FoundUntouched
 from ...core.tuning.advice.findings import Examiner, unusable_test
 from ...core.tuning.advice.proposal import Finding
 from ...core.warmup import is_compiled, warm_up_if_needed, warm_up_views
@@ -110,17 +110,16 @@ class StoredUntouched:
     def __init__(self) -> None:
         self.home: Path | None = None
         self._key: object = None
-        self._frame: SensorFrame | None = None
+        self._found = FoundUntouched(None)
 
-    def __call__(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
-        """Return the frame, or None; who needs it says why it cannot be read."""
+    def __call__(self, info: SourceInfo, preset: Preset) -> FoundUntouched:
         key = info, preset.untouched, self.home
         if key != self._key:
-            self._key, self._frame = key, info.kept_untouched(preset, self.home).frame
-        return self._frame
+            self._key, self._found = key, info.kept_untouched(preset, self.home)
+        return self._found
 
     def forget(self) -> None:
-        self._key = self._frame = None
+        self._key = None
 
 
 class Examination:

@@ -12,6 +12,7 @@ from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.patch import Doubt
 from ...core.preset import Preset
+from ...core.rig.untouched import FoundUntouched
 from ..document.comparison import Sides
 from .playback import PlaybackState
 from .rendering import Renderer
@@ -87,7 +88,7 @@ class FrameProcessor:
     def __init__(
         self,
         missing: Callable[[Preset], str] = lambda preset: "",
-        untouched: Callable[[SourceInfo, Preset], SensorFrame | None] = lambda info, preset: None,
+        untouched: Callable[[SourceInfo, Preset], FoundUntouched] = lambda info, preset: FoundUntouched(None),
     ) -> None:
         self._missing, self._stored_untouched = missing, untouched
         self._renderer = Renderer()
@@ -120,7 +121,7 @@ class FrameProcessor:
     ) -> Result:
         """Return the patch and what the window shows; of a frame that is ``held`` all is drawn, also while it plays."""
         untouched = self._stored_untouched(info, preset)
-        self._present.find(frame, preset, info.rig, untouched)
+        self._present.find(frame, preset, info.rig, untouched.frame)
         finders = self._find_compared(frame, info, compared)
         started = time.perf_counter()
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
@@ -152,10 +153,10 @@ class FrameProcessor:
             force_arrow_m=patch.force_arrow_m if patch is not None else None,
             rendered=rendered,
             playback=playback,
-            untouched=untouched,
+            untouched=untouched.frame,
             problem=self._present.problem,
             waiting=self._present.waiting,
-            warnings=self._present.warnings,
+            warnings=(*map(as_sentence, untouched.warnings), *self._present.warnings),
             processed=self._processed,
             dropped=dropped,
             unmatched=unmatched,
@@ -187,7 +188,7 @@ class FrameProcessor:
                 kept[-1].preset = preset
         self._others = kept
         for finder in kept:
-            finder.find(frame, finder.preset, info.rig, self._stored_untouched(info, finder.preset))
+            finder.find(frame, finder.preset, info.rig, self._stored_untouched(info, finder.preset).frame)
         return [
             self._present if side.follows else next(finder for finder in kept if finder.preset is side.preset)
             for side in sides or ()

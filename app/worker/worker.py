@@ -322,7 +322,7 @@ class Worker(QThread):
             self.recordingFailed.emit(NOT_LIVE)
             return
         try:
-            untouched = self._untouched(self._info, self._preset)
+            untouched = self._untouched(self._info, self._preset).frame
             self.recorder.start(path, self._info.rig, self._preset, self._info.frame_rate_hz, untouched)
         except Exception as error:
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))

@@ -30,6 +30,7 @@ _MOVED_SHARE, _MOVED_SIGMAS, _MOVED_TILES = 0.0067, 5.0, 0.005
 #: Most places of a recording that are looked at, fewest that follow each other at rest, share of the tiles that may
 #: differ between two of them, and share of the largest mean depth that counts as equally far.
 _PLACES, _STILL_PLACES, _MOVING_TILES, _AS_FAR = 60, 3, 0.03, 0.998
+_MIN_SEEN: Final = 0.1  # smallest share of the tactile image with depth
 #: Size limit of the file. Images of 1280 x 720 with colour take 15 MB.
 _MAX_BYTES: Final = 100_000_000
 _REMEDY: Final = "capture the untouched frame again"
@@ -113,14 +114,12 @@ def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source
                 frame = load_untouched(preset.untouched, Path(preset_path))
             else:
                 frame = _checked(source.untouched(), preset.untouched, f"the untouched frame in {source.name}")
-            frame.check_against(source.rig)
-            return FoundUntouched(frame)
+            return FoundUntouched(_usable(frame, source))
         except (PresetError, SourceError, FrameError) as error:
             warnings = (f"the preset's own untouched frame is not used: {error}",)
     try:
-        if (own := source.untouched()) is not None:
-            own.check_against(source.rig)
-        return FoundUntouched(own, warnings)
+        own = source.untouched()
+        return FoundUntouched(None if own is None else _usable(own, source), warnings)
     except (SourceError, FrameError) as error:
         return FoundUntouched(None, (*warnings, f"the untouched frame of {source.name} is not used: {error}"))
 
@@ -202,6 +201,15 @@ def _recorded(path: Path) -> SensorFrame | None:
 def _checked(frame: SensorFrame | None, record: UntouchedRecord, what: str) -> SensorFrame:
     if frame is None or content_hash(frame) != record.sha256:
         raise PresetError(f"{what} is not the one that the preset was saved with; {_REMEDY}")
+    return frame
+
+
+def _usable(frame: SensorFrame, source: FrameSource) -> SensorFrame:
+    """Return the frame; `FrameError` if it is of another rig, or hardly has tactile depth to compare with."""
+    frame.check_against(source.rig)
+    seen = float(valid_depth(frame.tactile_depth).mean())
+    if seen < _MIN_SEEN:
+        raise FrameError(f"it has tactile depth in {100 * seen:.0f} % of its image; {_REMEDY}")
     return frame
 
 

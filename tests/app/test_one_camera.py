@@ -60,7 +60,7 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
     show_source(qtbot, window, untouched_source, 3)
     assert not window.views.views[CloudName.PROXIMITY].isVisible()
     assert [strip.tabs.tabText(tab) for tab in range(4) if strip.tabs.isTabVisible(tab)] == ["Colour", "Tactile"]
-    assert not window.panel.sections["alignment"].isVisible()
+    assert not window.panel.sections["alignment"].isVisible() and window.panel.one_camera.isHidden()
     for action in (actions.calibrate, actions.show_proximity):
         assert not action.isEnabled()
         assert "tactile camera only" in action.toolTip()
@@ -73,7 +73,7 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
     show_source(qtbot, window, FakeSource(), 3)
     qtbot.waitUntil(window.views.views[CloudName.PROXIMITY].isVisible)  # a frame may come before the news of its source
     assert all(strip.tabs.isTabVisible(tab) for tab in range(4))
-    assert window.panel.sections["alignment"].isVisible()
+    assert window.panel.sections["alignment"].isVisible() and not window.panel.one_camera.isHidden()
     for action in (actions.calibrate, actions.show_proximity):
         assert action.isEnabled()
         assert "tactile camera only" not in action.toolTip()

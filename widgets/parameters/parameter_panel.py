@@ -72,6 +72,7 @@ class ParameterPanel(QScrollArea):
         self.show_mask = _bar_button("Show", tip, "Show mask")
         self.histograms: dict[str, LimitHistogram] = {}
         self.masked_share, self.alignment_info, self.tolerance_mm = (_note() for _ in range(3))
+        self.one_camera = wrapped_label("The proximity camera is not used; other contact tests compare both cameras.")
 
         content = QWidget()
         self._column = vbox(within=content, margins=(4, 4, 0, 4), spacing=8)
@@ -169,6 +170,7 @@ class ParameterPanel(QScrollArea):
 
     def set_two_cameras(self, two: bool) -> None:
         self.sections["alignment"].setVisible(two)
+        self.one_camera.setVisible(two)
 
     def enable_measuring(self, enabled: bool) -> None:
         for button in (*self.suggests.values(), self.eyedroppers["set"]):
@@ -197,6 +199,8 @@ class ParameterPanel(QScrollArea):
         section = self.sections[name] = CollapsibleSection(title)
         form = self.forms[name] = Form(title=title.lower())
         vbox(form, within=section.body, margins=0)
+        if name == "pressure":
+            form.add_line(self.one_camera)
         tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
         reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
         reset.clicked.connect(lambda: self._reset_section(name))

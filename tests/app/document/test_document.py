@@ -8,7 +8,7 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
 
 from fakes import tiny_frame, tiny_rig
-from hands import press
+from hands import press, text_of
 from tactune.app.document.document import Document, UntouchedStore
 from tactune.app.document.recovery import Autosave, unsaved_work
 from tactune.core.errors import PresetError
@@ -148,9 +148,7 @@ def captured(qapp, store):
 
 
 def kept_beside(path):
-    record = load_preset(path).untouched
-    assert record is not None
-    return load_untouched(record, path).tactile_depth
+    return load_untouched(load_preset(path).untouched, path).tactile_depth
 
 
 # Saving
@@ -222,3 +220,7 @@ def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qt
     qtbot.waitUntil(lambda: window.document.untouched_home is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()
+    for file in (*tmp_path.rglob("*.npz"), *window.context.data_folder.rglob("*.npz")):
+        file.unlink(missing_ok=True)
+    window.open_source(f"mcap:{tmp_path / 'both.mcap'}")
+    qtbot.waitUntil(lambda: "is missing; put it there" in text_of(window.rail))

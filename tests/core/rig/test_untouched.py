@@ -14,7 +14,14 @@ from tactune.core.model.frames import SensorFrame
 from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
-from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, place_at_rest, save_untouched
+from tactune.core.rig.untouched import (
+    average_untouched,
+    find_untouched,
+    kept_untouched,
+    load_untouched,
+    place_at_rest,
+    save_untouched,
+)
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.tactune_files import McapSource
@@ -57,11 +64,6 @@ def kept(tmp_path):
     return tmp_path / "kept.json", load_preset(tmp_path / "kept.json"), captured.frame
 
 
-def record_of(preset):
-    assert preset.untouched is not None
-    return preset.untouched
-
-
 # Capturing
 
 
@@ -102,7 +104,7 @@ def test_the_presets_own_untouched_frame_comes_before_the_sources(kept):
 
 def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(kept):
     path, preset, _ = kept
-    (path.parent / record_of(preset).file).unlink()
+    (path.parent / preset.untouched.file).unlink()
     others = untouched_image(7)
     found = find_untouched(preset, path, still(others))
     assert found.frame is others
@@ -119,6 +121,12 @@ def test_an_untouched_frame_of_another_rig_is_not_used(kept):
     assert "200 x 96" in found.warnings[0]
 
 
+def test_an_untouched_frame_without_depth_is_not_used():
+    blind = replace(untouched_image(7), tactile_depth=np.zeros((HEIGHT, WIDTH), np.uint16))
+    found = kept_untouched(None, None, still(blind))
+    assert found.frame is None and "tactile depth in 0 %" in found.warnings[0]
+
+
 def test_without_one_the_source_is_asked():
     assert find_untouched(Preset(), None, still()).frame is None
     with open_source("sim:cup?press=medium&sensor=datasheet") as source:
@@ -133,14 +141,14 @@ def test_a_recording_holds_the_untouched_frame_of_its_preset(kept, tmp_path):
     for file, untouched in ((path, frame), (bare, None)):
         with SessionWriter(file, RIG, preset=preset, untouched=untouched) as writer:
             writer.put(untouched_image(3), wait=True)
-    assert content_hash(load_untouched(record_of(load_preset(path)), path)) == content_hash(frame)
+    assert content_hash(load_untouched(load_preset(path).untouched, path)) == content_hash(frame)
     with McapSource(path) as source:
         for origin in (path, None):
             found = find_untouched(preset, origin, source)
             assert found.frame is not None
             assert not found.warnings
     with pytest.raises(PresetError, match="not the one"):
-        load_untouched(record_of(preset), bare)
+        load_untouched(preset.untouched, bare)
 
 
 @pytest.mark.parametrize(("length", "slow"), [(100, 1), (60, 2)])  # the second moves little per frame, and ends at rest
