@@ -14,14 +14,7 @@ from tactune.core.model.frames import SensorFrame
 from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
-from tactune.core.rig.untouched import (
-    average_untouched,
-    find_untouched,
-    kept_untouched,
-    load_untouched,
-    place_at_rest,
-    save_untouched,
-)
+from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, place_at_rest, save_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.tactune_files import McapSource
@@ -113,18 +106,14 @@ def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(kept):
     assert find_untouched(preset, path, still()).frame is None
 
 
-def test_an_untouched_frame_of_another_rig_is_not_used(kept):
+def test_an_untouched_frame_of_another_rig_or_without_depth_is_not_used(kept):
     path, preset, _ = kept
     wide = RIG.proximity.model_copy(update={"intrinsics": RIG.proximity.intrinsics.model_copy(update={"width": 200})})
     found = find_untouched(preset, path, still(rig=RIG.model_copy(update={"proximity": wide})))
     assert found.frame is None
     assert "200 x 96" in found.warnings[0]
-
-
-def test_an_untouched_frame_without_depth_is_not_used():
     blind = replace(untouched_image(7), tactile_depth=np.zeros((HEIGHT, WIDTH), np.uint16))
-    found = kept_untouched(None, None, still(blind))
-    assert found.frame is None and "tactile depth in 0 %" in found.warnings[0]
+    assert "tactile depth in 0 %" in find_untouched(Preset(), None, still(blind)).warnings[0]
 
 
 def test_without_one_the_source_is_asked():
