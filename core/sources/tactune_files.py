@@ -128,9 +128,10 @@ class McapSource(RecordedSource):
             kinds = self._bag.kinds
             known = f"its topics are {', '.join(sorted(kinds)[:8])}" if kinds else "it has no messages"
             cut = "" if self._bag.complete else "it was cut off before its first frame was complete; "
-            raise SourceError(
-                f"{self._path} holds no frame: {cut}there is no image on {needed} ({known}); choose another recording"
-            )
+            why = f"{cut}there is no image on {needed} ({known}); choose another recording"
+            if Topic.PATCH in kinds:
+                why = "it holds contact patches only, for Foxglove or RViz; record images with tactune record"
+            raise SourceError(f"{self._path} holds no frame: {why}")
 
     def _cameras_of(self, rig: Rig) -> list[RecordedCamera]:
         """Return the cameras, with log times where each frame has one of its own, else with stamps, seconds."""
