@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from ...core.sources import FrameSource
     from ...core.tuning.advice.proposal import Finding
 
-    SavePatch = Callable[[ContactPatch, SensorFrame], None]
+    SavePatch = Callable[[int, ContactPatch, SensorFrame], None]  # with the frame's number
     Estimator = Callable[[ContactPatch], Tilt]
     Look = Callable[[SensorFrame], None]
 
@@ -139,21 +139,21 @@ def run(
 def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
     """Yield the function that saves a patch: into one bag, into one file each, or nowhere."""
     if out is None:
-        yield lambda patch, frame: None
+        yield lambda number, patch, frame: None
     elif out.suffix == MCAP_SUFFIX:
         from ...core.output.writer import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
-            yield lambda patch, frame: writer.write(patch, frame.proximity_time_s)
+            yield lambda number, patch, frame: writer.write(patch, frame.proximity_time_s)
     else:
         from ...core.model.frames import note_number
         from ...core.output.cloud_files import patch_columns, write_cloud
 
         seen: set[int] = set()
 
-        def save(patch: ContactPatch, frame: SensorFrame) -> None:
-            note_number(seen, frame)
-            write_cloud(out / f"patch_{frame.sequence:06d}.npz", patch_columns(patch, frame, source.rig))
+        def save(number: int, patch: ContactPatch, frame: SensorFrame) -> None:
+            note_number(seen, number)
+            write_cloud(out / f"patch_{number:06d}.npz", patch_columns(patch, frame, source.rig))
 
         yield save
 
@@ -185,7 +185,7 @@ def _process(
             scores = _scores(patch, frame.truth, source.rig) if truth else {}
             scored |= scores.get("touched") is not None
             look(frame)
-            save(patch, frame)
+            save(number, patch, frame)
             if lines == "json":
                 if done % EXAMINED_EVERY == 0:
                     found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)

@@ -174,18 +174,13 @@ class GroundTruth:
 MAX_TIME_S = 2**31 - 1
 
 
-def note_number(seen: set[int], frame: SensorFrame) -> None:
-    """Add a frame's number to those ``seen``; raise `FrameError` if it is there or negative: it names a file."""
-    if frame.sequence < 0:
-        raise FrameError(
-            f"a frame has the number {frame.sequence}, and files are named by it; number the frames from 0"
-        )
-    if frame.sequence in seen:
-        raise FrameError(
-            f"two frames have the number {frame.sequence}, as in a merged recording, and files are named by it; "
-            "use the recordings one by one"
-        )
-    seen.add(frame.sequence)
+def note_number(seen: set[int], number: int) -> None:
+    """Add a frame's number to those ``seen``; raise `FrameError` if it is there, or negative."""
+    if number < 0:
+        raise FrameError(f"a frame has the number {number}; number the frames from 0")
+    if number in seen:
+        raise FrameError(f"two frames have the number {number}, as in merged recordings; use them one by one")
+    seen.add(number)
 
 
 class Shot(NamedTuple):

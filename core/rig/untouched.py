@@ -156,14 +156,13 @@ def place_at_rest(source: FrameSource, progress: Progress) -> int:
     """
     length = source.length or 0
     places = np.unique(np.linspace(0, max(length - 1, 0), min(length, _PLACES)).astype(int))
-    tiles = np.zeros((len(places), 1))
+    seen = []
     for number, place in enumerate(places):
         progress(number / len(places), "Looking for the untouched membrane")
         source.seek(int(place))
         frame = source.next_frame()
-        seen = np.zeros(1) if frame is None else np.nan_to_num(tile_medians(frame.tactile_depth))
-        tiles = np.resize(tiles, (len(places), len(seen))) if number == 0 else tiles
-        tiles[number] = seen
+        seen.append(np.zeros(1) if frame is None else np.nan_to_num(tile_medians(frame.tactile_depth)))
+    tiles = np.stack(np.broadcast_arrays(*seen))
     mean = tiles.mean(axis=1)
     runs = [(0, 0)]  # first place, and number of places that follow without movement, also not a slow one
     for number in range(1, len(places)):

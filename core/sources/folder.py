@@ -312,7 +312,7 @@ def _write_recording(source: FrameSource, folder: Path, frames: Iterator[SensorF
     count = 0
     seen: set[int] = set()
     for count, frame in enumerate(frames, start=1):
-        note_number(seen, frame)
+        note_number(seen, frame.sequence)
         _write_frame(folder / f"{count - 1:06d}", frame, source.rig)
     return count
 
