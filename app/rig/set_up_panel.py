@@ -10,7 +10,7 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
 from PyQt6.QtWidgets import QAbstractButton, QFrame, QScrollArea, QStackedLayout, QWidget
 
-from ...core.errors import counted, minus
+from ...core.errors import counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
@@ -19,59 +19,15 @@ from ...core.sources.registry import open_source, opens_by_name
 from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, action_button, heading, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import text_font
-from ..calibration.measuring_step import OTHER_SOURCE, MeasuringStep
+from ..calibration.measuring_step import OTHER_SOURCE
 from ..context import Context
 from ..sources.cameras_page import CAMERAS
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
-from .set_up_steps import AlignmentStep, BiasStep, NoiseStep, SuggestStep, VerdictStep
+from .set_up_steps import AlignmentStep, BiasStep, NoiseStep, SetUpStep, SuggestStep, VerdictStep
 from .untouched import UntouchedStep
 
 _LEFT_OUT: Final = "Left out: this rig has one camera."
-
-
-def _captured(preset: Preset) -> str:
-    record = preset.untouched
-    return "" if record is None else f"Captured, mean of {counted(record.frames, 'frame')}."
-
-
-def _measured(preset: Preset) -> str:
-    noise = preset.noise
-    if noise is None:
-        return ""
-    sides = [("tactile", noise.tactile), ("proximity", noise.proximity)]
-    if noise.proximity == noise.tactile:  # a rig with one camera
-        sides.pop()
-    return f"Noise {', '.join(f'{1e3 * side.total_m:.1f} mm {name}' for name, side in sides)}."
-
-
-def _aligned(preset: Preset) -> str:
-    record = preset.alignment.calibration
-    if record is None:
-        return ""
-    quality = record.quality
-    return f"Off by {quality.alignment_px:.2f} px; adds {quality.boundary_error_mm:.2f} mm to the boundary."
-
-
-def _unbiased(preset: Preset) -> str:
-    noise = preset.noise
-    if noise is None or noise.bias_from == "unknown":
-        return ""
-    place = "on the prints" if noise.bias_from == "prints" else "in a firm press"
-    return f"{minus(f'{1e3 * noise.bias_m:+z.1f}')} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured {place}."
-
-
-def _suggested(preset: Preset) -> str:
-    return "" if preset.suggested is None else f"Suggestions taken over, {preset.suggested.astimezone():%Y-%m-%d}."
-
-
-def _judged(preset: Preset) -> str:
-    verdict = preset.verdict
-    if verdict is None:
-        return ""
-    links = sorted(verdict.links_mm.items(), key=lambda link: -link[1])
-    shares = ", ".join(f"{link} {error_mm:.1f}" for link, error_mm in links)
-    return f"Off by {verdict.error_mm:.1f} mm: {shares}."
 
 
 def _find_rest(name: str, progress: Progress) -> int:
@@ -82,21 +38,20 @@ def _find_rest(name: str, progress: Progress) -> int:
 class StepRow(QFrame):
     """One step: its mark, title and buttons, and below them its state, or progress and *Cancel* while it runs.
 
-    ``known`` says from the preset that it is done, with its number; empty: it is open.
+    ``title``, ``intro`` and ``known`` are as in `SetUpStep`. Opening a source is a step without work of its own.
     """
 
     def __init__(
         self,
         title: str,
         intro: str,
-        work: MeasuringStep | None,
         known: Callable[[Preset], str],
-        two_cameras: bool = False,
+        work: SetUpStep | None = None,
         more: Sequence[QAbstractButton] = (),
     ) -> None:
         super().__init__()
-        self.title, self.work, self.two_cameras = title, work, two_cameras
-        self.skipped, self._intro, self.known = False, intro, known
+        self.title, self._intro, self.known, self.work = title, intro, known, work
+        self.skipped = False
         self.mark = TintedLabel()
         self.mark.setFixedWidth(self.mark.fontMetrics().horizontalAdvance("MM"))
         self.state = ElidedLabel()
@@ -136,6 +91,10 @@ class StepRow(QFrame):
         self.setBackgroundRole(QPalette.ColorRole.AlternateBase)
 
 
+def _row(step: SetUpStep, *more: QAbstractButton) -> StepRow:
+    return StepRow(step.title, step.intro, step.known, step, more)
+
+
 class SetUpPanel(QWidget):
     """*Set up this rig* runs step after step by itself, and stops where a person must act or where a step fails."""
 
@@ -152,41 +111,14 @@ class SetUpPanel(QWidget):
         document = context.document
         #: The frames of the newest press.
         self.press: list[SensorFrame] = []
-        self.source = StepRow(
-            "Source",
-            "Nothing is open.",
-            None,
-            lambda _: self._opened_source(),
-            more=[action_button(actions[name], with_text=True) for name in ("open_source", "cameras")],
-        )
-        self.untouched = StepRow(
-            "Untouched frame",
-            "The membrane while nothing touches it.",
-            UntouchedStep(context),
-            _captured,
-        )
-        self.noise = StepRow("Noise", "Everything at rest: 60 frames.", NoiseStep(context), _measured)
-        self.alignment = StepRow(
-            "Alignment",
-            "Points found on the membrane's texture.",
-            AlignmentStep(context),
-            _aligned,
-            two_cameras=True,
-            more=[action_button(actions["calibrate"], with_text=True)],
-        )
-        self.bias = StepRow(
-            "Bias",
-            "One firm press, 1,000 mm² or more, held.",
-            BiasStep(context, self.press),
-            _unbiased,
-            two_cameras=True,
-        )
-        self.suggestions = StepRow(
-            "Mask, test and limits", "Suggested from the press.", SuggestStep(context, self.press), _suggested
-        )
-        self.verdict = StepRow(
-            "Verdict", "How far the boundary of a patch is off.", VerdictStep(context, self.press), _judged
-        )
+        opens = [action_button(actions[name], with_text=True) for name in ("open_source", "cameras")]
+        self.source = StepRow("Source", "Nothing is open.", lambda _: self._opened_source(), more=opens)
+        self.untouched = _row(UntouchedStep(context))
+        self.noise = _row(NoiseStep(context))
+        self.alignment = _row(AlignmentStep(context), action_button(actions["calibrate"], with_text=True))
+        self.bias = _row(BiasStep(context, self.press))
+        self.suggestions = _row(SuggestStep(context, self.press))
+        self.verdict = _row(VerdictStep(context, self.press))
         self.rows = (self.source, self.untouched, self.noise, self.alignment, self.bias, self.suggestions, self.verdict)
         self._steps = [(row, row.work) for row in self.rows if row.work is not None]
         self.start = push_button("Set &up this rig", "Run all open steps in their order; stops where you must act")
@@ -255,7 +187,8 @@ class SetUpPanel(QWidget):
         return super().close()
 
     def _left_out(self, row: StepRow) -> bool:
-        return row.two_cameras and self._info is not None and not self._info.rig.has_proximity
+        one_camera = self._info is not None and not self._info.rig.has_proximity
+        return one_camera and row.work is not None and row.work.two_cameras
 
     def _next(self) -> StepRow | None:
         """Return the chosen step, or the first one that is open; None if the rig is set up."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from ...core.calibration.check import is_worse
 from ...core.calibration.report import CalibrationReport, grade
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, minus
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import SensorFrame
 from ...core.model.rig_noise import Verdict
-from ...core.preset import RigNoise, now
+from ...core.preset import Preset, RigNoise, now
 from ...core.rig.noise import MIN_FRAMES, NOISE_FRAMES, describe, measure_noise, with_bias
 from ...core.rig.untouched import tile_medians
 from ...core.rig.verdict import judge_rig
@@ -39,13 +39,35 @@ _HELD_FRAMES: Final = 8
 _RECENT: Final = 4
 
 
-class NoiseStep(MeasuringStep):
+class SetUpStep(MeasuringStep):
+    """A step of the guided set-up: also its title, what it needs, and when it is done."""
+
+    title, intro = "", ""
+    #: Whether a rig with one camera leaves it out.
+    two_cameras = False
+
+    def known(self, preset: Preset) -> str:
+        """Return that the step is done, with its number; empty: it is open."""
+        raise NotImplementedError
+
+
+class NoiseStep(SetUpStep):
     """Measures at rest; the simulator takes its object away."""
 
+    title, intro = "Noise", f"Everything at rest: {NOISE_FRAMES} frames."
     _tip = "Measure the noise of both cameras, and the bias on prints, into the preset; nothing may move"
     button = "&Measure noise", _tip
     field = "noise"
     wanted, min_frames = NOISE_FRAMES, MIN_FRAMES
+
+    def known(self, preset: Preset) -> str:
+        noise = preset.noise
+        if noise is None:
+            return ""
+        sides = [("tactile", noise.tactile), ("proximity", noise.proximity)]
+        if noise.proximity == noise.tactile:  # a rig with one camera
+            sides.pop()
+        return f"Noise {', '.join(f'{1e3 * side.total_m:.1f} mm {name}' for name, side in sides)}."
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         count, preset, untouched = self.wanted, self._document.preset, self.untouched_of(info)
@@ -57,11 +79,20 @@ class NoiseStep(MeasuringStep):
         self.sentence.setText(" ".join(describe(found)))
 
 
-class AlignmentStep(MeasuringStep):
+class AlignmentStep(SetUpStep):
     """Finds points on the membrane's texture and fits the alignment to them."""
 
+    title, intro = "Alignment", "Points found on the membrane's texture."
+    two_cameras = True
     button = "Find poi&nts", "Find points in both colour images and fit the alignment"
     wanted = FRAMES
+
+    def known(self, preset: Preset) -> str:
+        record = preset.alignment.calibration
+        if record is None:
+            return ""
+        quality = record.quality
+        return f"Off by {quality.alignment_px:.2f} px; adds {quality.boundary_error_mm:.2f} mm to the boundary."
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
         preset = self._document.preset
@@ -100,7 +131,7 @@ class _Look(NamedTuple):
     released: bool
 
 
-class PressStep(MeasuringStep):
+class PressStep(SetUpStep):
     """Base of the steps that work on a press: waits until an object is pressed firmly and held.
 
     ``press`` are the frames of the newest press, which the steps share. Without an untouched frame any frame will do.
@@ -169,8 +200,17 @@ def _held(looks: Sequence[_Look]) -> list[_Look]:
 class BiasStep(PressStep):
     """Measures the bias between the cameras where an object is pressed."""
 
+    title, intro = "Bias", "One firm press, 1,000 mm² or more, held."
+    two_cameras = True
     button = "Measure &bias", "Press an object of 1,000 mm² or more firmly into the membrane and hold it"
     field = "noise"
+
+    def known(self, preset: Preset) -> str:
+        noise = preset.noise
+        if noise is None or noise.bias_from == "unknown":
+            return ""
+        place = "on the prints" if noise.bias_from == "prints" else "in a firm press"
+        return f"{minus(f'{1e3 * noise.bias_m:+z.1f}')} ± {1e3 * noise.bias_sigma_m:.1f} mm, measured {place}."
 
     def at_hand(self) -> list[SensorFrame]:
         return []  # each measurement has a press of its own
@@ -223,7 +263,12 @@ class BiasStep(PressStep):
 class SuggestStep(PressStep):
     """Takes over the suggestions for mask, test and limits, as one undo step."""
 
+    title, intro = "Mask, test and limits", "Suggested from the press."
     button = "&Suggest", "Measure mask, contact test and limits, and take them over"
+
+    def known(self, preset: Preset) -> str:
+        done = preset.suggested
+        return "" if done is None else f"Suggestions taken over, {done.astimezone():%Y-%m-%d}."
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
         preset, untouched = self._document.preset, self.untouched_of(info)
@@ -242,8 +287,17 @@ class SuggestStep(PressStep):
 class VerdictStep(PressStep):
     """Judges the preset on the press: the error of a patch's boundary and the weakest link."""
 
+    title, intro = "Verdict", "How far the boundary of a patch is off."
     button = "&Judge", "Tell the error of a patch's boundary, and what limits it"
     field = "verdict"
+
+    def known(self, preset: Preset) -> str:
+        verdict = preset.verdict
+        if verdict is None:
+            return ""
+        links = sorted(verdict.links_mm.items(), key=lambda link: -link[1])
+        shares = ", ".join(f"{link} {error_mm:.1f}" for link, error_mm in links)
+        return f"Off by {verdict.error_mm:.1f} mm: {shares}."
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:
         preset, untouched = self._document.preset, self.untouched_of(info)

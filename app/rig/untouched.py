@@ -8,23 +8,28 @@ from PyQt6.QtCore import QObject
 
 from ...core.errors import SourceError, counted
 from ...core.model.frames import SensorFrame
-from ...core.preset import UntouchedRecord
+from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import UNTOUCHED_FRAMES, average_untouched
 from ...widgets.basics.messages import Severity
-from ..calibration.measuring_step import MeasuringStep
 from ..context import Context
 from ..document.document import UntouchedStore
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
+from .set_up_steps import SetUpStep
 
 
-class UntouchedStep(MeasuringStep):
+class UntouchedStep(SetUpStep):
     """Averages the next frames while nothing touches the membrane, as one undoable step."""
 
+    title, intro = "Untouched frame", "The membrane while nothing touches it."
     button = "Cap&ture", "Average the next frames; nothing may touch the membrane"
     field = "untouched"
     wanted = UNTOUCHED_FRAMES
     prompt, recorded = "Do not touch the membrane", "Averaging frames"
+
+    def known(self, preset: Preset) -> str:
+        record = preset.untouched
+        return "" if record is None else f"Captured, mean of {counted(record.frames, 'frame')}."
 
     def at_hand(self) -> list[SensorFrame]:
         """Return the untouched frame of a recording that has one, unless the preset has one already."""

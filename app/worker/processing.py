@@ -113,9 +113,6 @@ class FrameProcessor:
         wanted: Wanted,
         playback: PlaybackState,
         *,
-        dropped: int = 0,
-        unmatched: int = 0,
-        read_ms: float = 0.0,
         compared: Sides | None = None,
         held: bool = False,
     ) -> Result:
@@ -158,9 +155,6 @@ class FrameProcessor:
             waiting=self._present.waiting,
             warnings=(*map(as_sentence, untouched.warnings), *self._present.warnings),
             processed=self._processed,
-            dropped=dropped,
-            unmatched=unmatched,
-            read_ms=read_ms,
             render_ms=render_ms,
             compared=both,
         )

@@ -369,19 +369,18 @@ class Worker(QThread):
     def _process(self, frame: SensorFrame, read_ms: float = 0.0) -> None:
         assert self._info is not None
         self._redo = False
-        health = self._state.health
-        not_taken = self._mailbox.dropped - self._dropped_before + (self._live.dropped if self._live is not None else 0)
+        playback, held = self._playback.state, self._playback.held
         try:
             result = self._processor.process(
-                self._info, frame, self._preset, self._wanted, self._playback.state,
-                dropped=not_taken + health.dropped,
-                unmatched=health.unmatched, read_ms=read_ms, compared=self._compared,
-                held=self._playback.held,
-            )  # fmt: skip
+                self._info, frame, self._preset, self._wanted, playback, compared=self._compared, held=held
+            )
         except Exception as error:
-            number = self._playback.state.index
-            self._fail(explain(error, f"frame {number} of {self._info.name} could not be processed"))
+            self._fail(explain(error, f"frame {playback.index} of {self._info.name} could not be processed"))
             return
+        health = self._state.health
+        not_taken = self._mailbox.dropped - self._dropped_before + (self._live.dropped if self._live is not None else 0)
+        dropped = not_taken + health.dropped
+        result = replace(result, dropped=dropped, unmatched=health.unmatched, read_ms=read_ms)
         if self._failing:
             self._failing = False
             self.recovered.emit()

@@ -12,7 +12,7 @@ from ..basics.layouts import hbox, vbox
 from ..basics.overlays import Wipe
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Rectangle, moved_by_arrow
 from .marks import RegionItem
-from .strip_render import NO_VALUE_RGB, RenderedStrip
+from .strip_render import NO_VALUE_RGB, RenderedStrip, difference_limit
 
 #: Name and title of each pane, left to right.
 PANES = {
@@ -274,7 +274,7 @@ class ImageStrip(QWidget):
             self.wantedChanged.emit()
 
     def _show_legends(self, rendered: RenderedStrip) -> None:
-        key = (rendered.depth_range_m, rendered.tolerance, rendered.difference_limit, rendered.shows_mask)
+        key = (rendered.depth_range_m, rendered.tolerance, rendered.shows_mask)
         if key == self._legend_key:
             return
         self._legend_key = key
@@ -283,4 +283,4 @@ class ImageStrip(QWidget):
         self.panes["color"].set_legend([("contact", QColor(*CONTACT_RGB)), *masked])
         self.panes["proximity"].set_legend(depth)
         self.panes["tactile"].set_legend(depth)
-        self.panes["difference"].set_legend(difference_legend(rendered.tolerance, rendered.difference_limit))
+        self.panes["difference"].set_legend(difference_legend(rendered.tolerance, difference_limit(rendered.tolerance)))

@@ -45,10 +45,6 @@ class RenderedStrip:
     masked_share: float | None = None  # of the colour image; None without a mask
     shows_mask: bool = False
 
-    @property
-    def difference_limit(self) -> float:
-        return difference_limit(self.tolerance)
-
 
 def difference_limit(tolerance: float) -> float:
     """Return the relative difference at both ends of the colour scale."""

@@ -21,7 +21,6 @@ from ..basics.layouts import Part, hbox
 from ..basics.theme import text_font
 from .slider import Scale, Slider
 
-_Step = QAbstractSpinBox.StepEnabledFlag
 _UNDO_KEYS = (QKeySequence.StandardKey.Undo, QKeySequence.StandardKey.Redo)
 
 
@@ -71,12 +70,8 @@ class NumberEntry(QAbstractSpinBox):
         self.selectAll()
 
     def stepEnabled(self) -> QAbstractSpinBox.StepEnabledFlag:
-        flags = _Step.StepNone
-        if self._value < self._spec.maximum:
-            flags |= _Step.StepUpEnabled
-        if self._value > self._spec.minimum:
-            flags |= _Step.StepDownEnabled
-        return flags
+        step = QAbstractSpinBox.StepEnabledFlag
+        return step.StepUpEnabled | step.StepDownEnabled  # `stepBy` stops at the ends
 
     def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
         """Accept any text; `refused` reports an invalid one once it is entered."""
