@@ -17,7 +17,7 @@ from ...core.preset import Preset, now
 from ...core.sources.base import part_of
 from ...core.tuning.advice.proposal import Evidence, Proposal
 from ...core.tuning.advice.suggest import AllProposals, suggest_all
-from ...widgets.basics.controls import NoteLabel, ProgressBar, push_button, wrapped_label
+from ...widgets.basics.controls import NoteLabel, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import field_spec
 from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
@@ -26,7 +26,7 @@ from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import SOURCE, Context
 from ..document.comparison import Side
-from ..worker.jobs import Job, Progress
+from ..worker.jobs import Job, JobRow, Progress
 from ..worker.results import Result
 
 _TITLES = dict(SECTIONS)
@@ -109,10 +109,9 @@ class SuggestWindow(QDialog):
         self._applied = -1  # the place in the undo stack, until something else was done
         self.job = Job(self, done=self._show_found, failed=self._show_failure)
         self.cards: list[ProposalCard] = []
-        self.progress = ProgressBar()
+        self.working = JobRow(self.job)
         self.sentence = wrapped_label()
         self.sentence.hide()
-        self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
         self.again = push_button("&Measure again", "Make new suggestions from the present frame and preset")
         self.compare = QCheckBox("Com&pare")
         self.compare.setToolTip("Compare the present preset with the suggested one in the views")
@@ -130,16 +129,14 @@ class SuggestWindow(QDialog):
         self._parts = vbox()
         vbox(self._parts, STRETCH, within=content, margins=0)
         scroll = scrolling(content)
-        measuring = hbox((self.progress, 1), self.cancel)
-        tools = hbox(self.again, STRETCH)
+        tools = hbox(self.again, (self.working, 1))
         row = hbox(self.compare, self.undo, STRETCH, self.apply, self.leave)
-        vbox(measuring, self.sentence, (scroll, 1), tools, row, within=self)
+        vbox(self.sentence, (scroll, 1), tools, row, within=self)
         self.resize(500, 640)
 
     def _connect(self) -> None:
-        self.job.progress.connect(self._show_progress)
         self.job.busyChanged.connect(self._show_busy)
-        self.cancel.clicked.connect(lambda: self._stop("Cancelled; nothing was changed."))
+        self.working.cancel.clicked.connect(lambda: self._say("Cancelled; nothing was changed."))
         self.again.clicked.connect(lambda: self.ask(self._section))
         self.compare.toggled.connect(self._show_comparison)
         self.apply.clicked.connect(self._apply)
@@ -160,14 +157,15 @@ class SuggestWindow(QDialog):
         self._section = section
         self.job.cancel()
         self._clear()
+        self._say("")
         self.job.start(lambda progress: find_suggestions(section, result, preset, home, progress))
-        self._show_busy(True)
-        self._show_progress(0.0, "Gathering evidence")
+        self.job.progress.emit(0.0, "Gathering evidence")
 
     def _source_opened(self) -> None:
         """Drop suggestions that are still being made; those that are shown should be made again."""
         if self.job.busy or self.cards:
-            self._stop("Another source was opened: measure again.")
+            self.job.cancel()
+            self._say("Another source was opened: measure again.")
 
     @property
     def proposal(self) -> Proposal:
@@ -208,24 +206,11 @@ class SuggestWindow(QDialog):
         self.compare.setChecked(True)
         self._choice_changed()
 
-    def _show_progress(self, share: float, words: str) -> None:
-        self.progress.show_share(share)
-        if self.cancel.isEnabled():  # else it was on its way when the job was cancelled
-            self._say(f"{words}…")
-
     def _show_failure(self, sentence: str) -> None:
         if sentence:
             self._say(as_sentence(sentence))
 
-    def _stop(self, sentence: str) -> None:
-        self.job.cancel()
-        self.cancel.setEnabled(False)
-        self._say(sentence)
-
     def _show_busy(self, busy: bool) -> None:
-        self.progress.setVisible(busy)
-        self.cancel.setVisible(busy)
-        self.cancel.setEnabled(busy)
         self.again.setEnabled(not busy)
         self._show_state()
 
