@@ -37,79 +37,7 @@ _METRICS: Final = {
 #: Largest width of a tooltip: lines of about 60 characters.
 _MAX_TIP_PX: Final = 400
 
-_SHEET: Final = Template("""
-QPushButton, QToolButton[autoRaise="false"] {
-    background: $button; border: 1px solid $outline; border-radius: 4px; padding: 2px 8px; }
-QToolButton[autoRaise="false"] { padding: 1px 2px; }
-.QPushButton { min-width: 62px; }
-.QPushButton[wide="true"] { min-width: 102px; }
-QPushButton[flat="true"] { background: transparent; border: none; }
-QPushButton:hover, QToolButton[autoRaise="false"]:hover, QToolButton[autoRaise="true"]:hover { background: $alternate; }
-QPushButton:pressed, QToolButton:pressed { background: $border; }
-QPushButton:default, QPushButton:checked, QToolButton[autoRaise="false"]:checked {
-    background: $accent; border-color: $accent; color: $on_accent; }
-QToolButton[primary="true"], QToolButton[primary="true"]:hover {
-    background: $accent; border-color: $accent; color: $on_accent; padding: 3px 8px; }
-QToolButton[mode="true"] { background: transparent; border-color: transparent; padding: 3px 10px; }
-QToolButton[mode="true"]:checked { background: $accent; color: $on_accent; }
-QPushButton:disabled, QToolButton[autoRaise="false"]:disabled {
-    background: $button; border-color: $border; color: $disabled; }
-QPushButton::menu-indicator { image: url($icons/arrow-down.svg); subcontrol-position: right center; width: 12px; }
-QToolButton[autoRaise="true"] { border: 1px solid transparent; border-radius: 4px; padding: 2px; }
-QToolButton[autoRaise="true"]:checked { background: $border; border-color: $outline; }
-QLineEdit, QAbstractSpinBox, QComboBox, QPlainTextEdit, QTextEdit {
-    background: $base; border: 1px solid $outline; border-radius: 4px; padding: 0 2px; }
-QLineEdit { lineedit-clear-button-icon: url($icons/close.svg); }
-QComboBox { background: $button; padding: 2px 4px; combobox-popup: 0; }
-QComboBox[plain="true"] { background: $base; border-color: transparent; padding: 0 4px; }
-QComboBox QAbstractItemView { background: $base; selection-background-color: $accent; selection-color: $on_accent; }
-QLineEdit:focus, QAbstractSpinBox:focus, QComboBox:focus { border-color: $focus; }
-QLineEdit:disabled, QAbstractSpinBox:disabled, QComboBox:disabled { border-color: $border; color: $disabled; }
-QAbstractSpinBox QLineEdit, QComboBox QLineEdit { border: none; }
-QComboBox::drop-down, QAbstractSpinBox::up-button, QAbstractSpinBox::down-button { border: none; width: 16px; }
-QAbstractSpinBox::up-button:hover, QAbstractSpinBox::down-button:hover { background: $alternate; }
-QComboBox::down-arrow, QAbstractSpinBox::down-arrow { image: url($icons/arrow-down.svg); width: 12px; height: 12px; }
-QAbstractSpinBox::up-arrow { image: url($icons/arrow-up.svg); width: 12px; height: 12px; }
-QAbstractSpinBox::up-arrow:off, QAbstractSpinBox::down-arrow:off { image: none; }
-QCheckBox::indicator, QRadioButton::indicator, QAbstractItemView::indicator {
-    background: $base; border: 1px solid $outline; border-radius: 3px; width: 12px; height: 12px; }
-QRadioButton::indicator { border-radius: 7px; }
-QCheckBox::indicator:checked, QAbstractItemView::indicator:checked {
-    background: $accent; border-color: $accent; image: url($icons/tick.svg); }
-QCheckBox::indicator:indeterminate { background: $accent; border-color: $accent; }
-QRadioButton::indicator:checked { background: $on_accent; border: 5px solid $accent; width: 4px; height: 4px; }
-QCheckBox::indicator:disabled, QRadioButton::indicator:disabled { border-color: $border; }
-QCheckBox::indicator:checked:disabled { background: $border; }
-QSlider::groove:horizontal { background: $outline; height: 4px; border-radius: 2px; margin: 0 6px; }
-QSlider::sub-page:horizontal { background: $accent; border-radius: 2px; margin: 0 6px; }
-QSlider::handle:horizontal {
-    background: $knob; border: 2px solid $accent; border-radius: 7px; width: 10px; margin: -5px -6px; }
-QSlider::handle:horizontal:hover { background: $accent; }
-QSlider::groove:disabled, QSlider::sub-page:disabled { background: $border; }
-QSlider::handle:disabled { background: $button; border-color: $border; }
-QScrollBar { background: transparent; border: none; }
-QScrollBar:vertical { width: 12px; }
-QScrollBar:horizontal { height: 12px; }
-QScrollBar::handle { background: $outline; border-radius: 3px; margin: 3px; min-width: 24px; min-height: 24px; }
-QScrollBar::handle:hover { background: $muted; }
-QScrollBar::add-line, QScrollBar::sub-line { width: 0; height: 0; }
-QScrollBar::add-page, QScrollBar::sub-page { background: none; }
-QProgressBar { background: $base; border: 1px solid $outline; border-radius: 4px; text-align: center; }
-QProgressBar::chunk { background: $border; border-radius: 3px; }
-QTabBar::tab { padding: 4px 8px; border: none; border-bottom: 3px solid transparent; }
-QTabBar::tab:hover { border-bottom-color: $border; }
-QTabBar::tab:selected { border-bottom-color: $accent; }
-QTabWidget::pane { border: none; border-top: 1px solid $border; }
-QHeaderView::section {
-    background: $alternate; border: none; border-right: 1px solid $border; border-bottom: 1px solid $border;
-    padding: 2px 4px; }
-QFrame[severity="Note"] { background: $accent; }
-QFrame[severity="Warning"] { background: $warning; }
-QFrame[severity="Error"] { background: $error; }
-QLabel[plate="plain"] { background: $base; border-radius: 4px; padding: 4px 8px; }
-QLabel[plate="warning"] {
-    background: $alternate; border: 1px solid $warning; border-radius: 4px; padding: 4px 8px; color: $warning; }
-""")
+_SHEET: Final = Path(__file__).with_name("style.qss")
 
 
 class _Style(QProxyStyle):
@@ -226,7 +154,7 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> None:
     colors = theme_colors()
     pg.setConfigOptions(background=colors.base, foreground=colors.text)
     icons = (Path(__file__).parents[1] / "icons").as_posix()
-    sheet = _SHEET.substitute(asdict(colors), icons=icons)
+    sheet = Template(_SHEET.read_text("utf-8")).substitute(asdict(colors), icons=icons)
     if sheet != app.styleSheet():  # setting it lays out every widget again
         use_style(app)
         app.setPalette(make_palette(colors))
