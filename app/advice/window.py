@@ -21,10 +21,9 @@ from ...widgets.basics.controls import NoteLabel, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import field_spec
 from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
-from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import SECTIONS
-from ..context import SOURCE, Context
+from ..context import Context
 from ..document.comparison import Side
 from ..worker.jobs import Job, JobRow, Progress
 from ..worker.results import Result
@@ -287,9 +286,6 @@ class SuggestControl(QObject):
 
     def open(self, section: str) -> None:
         context = self._context
-        if context.result is None:
-            context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME, subject=SOURCE)
-            return
         if self.window is None:
             self.window = SuggestWindow(context)
             QShortcut(QKeySequence.StandardKey.Save, self.window).activated.connect(context.saveRequested)

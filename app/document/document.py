@@ -244,9 +244,7 @@ def shown_value(path: str, value: Any) -> str:
     """Format a value as the panel shows it, with its unit, short enough for a menu."""
     with suppress(TypeError):  # a field of a type that the panel does not show
         spec = field_spec(Preset, path)
-        if spec.kind in ("number", "range"):
+        if spec.kind != "matrix":
             return spec.describe(value)
-    if isinstance(value, bool):
-        return "on" if value else "off"
     text = "none" if value is None else str(value)
     return text if len(text) <= 24 else text[:23] + "…"

@@ -80,11 +80,6 @@ class KeptState(QObject, Generic[T]):
         with suppress(RuntimeError):  # finished
             self._disk.submit(lambda: None).result()
 
-    def close(self) -> None:
-        """Write the last state and wait for the disk."""
-        self.flush()
-        self.finish()
-
     def finish(self) -> None:
         """Wait for the disk; nothing is written afterwards."""
         self._timer.stop()

@@ -58,12 +58,8 @@ class WatchControl(QObject):
 
     def open(self) -> None:
         """Check the frame on the screen in a window of its own."""
-        context = self._context
-        if context.result is None:
-            context.messages.show_message("check", Severity.WARNING, _NO_FRAME, subject=SOURCE)
-            return
         if self.window is None:
-            self.window = DriftWindow(context, self._calibrate, self._capture)
+            self.window = DriftWindow(self._context, self._calibrate, self._capture)
         bring_up(self.window)
         self.window.check()
 
@@ -171,6 +167,7 @@ class DriftWindow(QDialog):
         """Check the newest frame, on another thread."""
         document, result = self._context.document, self._context.result
         if result is None:
+            self.sentence.setText(_NO_FRAME)
             return
         preset, home, rig = document.preset, document.untouched_home, result.source.rig
         frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers

@@ -60,8 +60,7 @@ class FolderRigDialog(QDialog):
 
     def accept(self) -> None:
         """Write the rig; the dialog stays if that fails."""
-        if self.found is None:
-            return
+        assert self.found is not None  # else Open is disabled
         try:
             write_rig(self._folder, self.found.rig, self.found.forms)
         except TactuneError as error:

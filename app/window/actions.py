@@ -168,10 +168,7 @@ class Actions:
         self._actions = {row.name: _set_up(made.get(row.name) or QAction(parent), row) for row in _rows()}
 
     def __getattr__(self, name: str) -> QAction:
-        try:
-            return self.__dict__["_actions"][name]  # type: ignore[no-any-return]
-        except KeyError:
-            raise AttributeError(f"no action is called {name!r}") from None
+        return self._actions[name]
 
     def set_two_cameras(self, two: bool) -> None:
         """Enable what needs two cameras, or say why it is disabled."""

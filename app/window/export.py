@@ -12,6 +12,7 @@ from ...core.output.calibration_files import export_calibration
 from ...core.output.cloud_files import SUFFIXES, patch_columns, write_cloud
 from ...core.output.hdf5 import export_hdf5
 from ...core.output.writer import export_mcap
+from ...core.preset import Preset
 from ...core.sources.base import split_topics
 from ...core.sources.registry import open_source
 from ...core.tuning.share import share_mcap
@@ -84,61 +85,50 @@ class Export(QObject):
             self._job.failed.emit(str(error))
 
     def _work(self, result: Result, path: Path) -> Work:
-        name = path.name.lower()
+        name, preset = path.name.lower(), self._context.document.preset
         kind = next((kind for suffix, (_, kind) in _CALIBRATIONS.items() if name.endswith(suffix)), None)
         if kind is not None:
-            return self._calibration(result, path, kind)
+            return partial(_write_calibration, result, path, kind, preset)
         if path.suffix.lower() in (".mcap", ".h5"):
-            return self._recording(result, path)
+            return partial(_write_recording, result, path, self._frames(result), preset)
         if path.suffix.lower() in animation.SUFFIXES:
-            frames = self._frames(result)
-            return self._animation.work(path, range(*frames), result)
-        return self._patch(result, path)
+            return self._animation.work(path, self._frames(result), result)
+        return partial(_write_patch, result, path)
 
-    def _frames(self, result: Result) -> tuple[int, int]:
-        """Return the first frame between the marks, or of all, and the one behind the last."""
+    def _frames(self, result: Result) -> range:
+        """Return the frames between the marks, or all."""
         if result.source.length is None:
             raise ExportError("a live source is recorded with Record (F9), not exported")
-        return self._context.trim or (0, result.source.length)
+        return range(*(self._context.trim or (0, result.source.length)))
 
-    def _patch(self, result: Result, path: Path) -> Work:
-        def work(_: Progress) -> str:
-            if path.suffix.lower() not in SUFFIXES:
-                known = ", ".join((*SUFFIXES, ".mcap", ".h5", *animation.SUFFIXES, *_CALIBRATIONS))
-                raise ExportError(f"{path.name} does not say what to export; choose one of {known}")
-            if result.patch is None:
-                raise ExportError("this frame has no patch")
-            write_cloud(path, patch_columns(result.patch, result.frame, result.source.rig))
-            points = counted(len(result.patch.points), "point")
-            return f"Frame {result.frame_number}: {points} written to {path}."
 
-        return work
+# On the thread of the job
 
-    def _calibration(self, result: Result, path: Path, kind: str) -> Work:
-        preset = self._context.document.preset
 
-        def work(_: Progress) -> str:
-            export_calibration(path, kind, result.source.rig, preset)
-            return f"The calibration of the cameras was written to {path}."
+def _write_patch(result: Result, path: Path, _: Progress) -> str:
+    if path.suffix.lower() not in SUFFIXES:
+        known = ", ".join((*SUFFIXES, ".mcap", ".h5", *animation.SUFFIXES, *_CALIBRATIONS))
+        raise ExportError(f"{path.name} does not say what to export; choose one of {known}")
+    if result.patch is None:
+        raise ExportError("this frame has no patch")
+    write_cloud(path, patch_columns(result.patch, result.frame, result.source.rig))
+    return f"Frame {result.frame_number}: {counted(len(result.patch.points), 'point')} written to {path}."
 
-        return work
 
-    def _recording(self, result: Result, path: Path) -> Work:
-        """Return the work that reads the frames between the marks from the file a second time."""
-        preset, untouched = self._context.document.preset, result.untouched
-        first, end = self._frames(result)
+def _write_calibration(result: Result, path: Path, kind: str, preset: Preset, _: Progress) -> str:
+    export_calibration(path, kind, result.source.rig, preset)
+    return f"The calibration of the cameras was written to {path}."
 
-        def work(progress: Progress) -> str:
-            with open_source(result.source.name, progress) as source:
-                source.seek(first)
-                if path.suffix.lower() == ".h5":
-                    count = export_hdf5(source, path, end - first, untouched=untouched, progress=progress)
-                elif result.patch is None:  # this preset finds none with this rig
-                    count = export_mcap(
-                        source, path, end - first, preset=preset, untouched=untouched, progress=progress
-                    )
-                else:
-                    count = share_mcap(source, path, end - first, preset, untouched, progress=progress)
-            return f"Frames {first} to {end - 1} ({count}) written to {path}."
 
-        return work
+def _write_recording(result: Result, path: Path, frames: range, preset: Preset, progress: Progress) -> str:
+    """Read the frames from the file a second time, and write them."""
+    untouched, wanted = result.untouched, len(frames)
+    with open_source(result.source.name, progress) as source:
+        source.seek(frames.start)
+        if path.suffix.lower() == ".h5":
+            count = export_hdf5(source, path, wanted, untouched=untouched, progress=progress)
+        elif result.patch is None:  # this preset finds none with this rig
+            count = export_mcap(source, path, wanted, preset=preset, untouched=untouched, progress=progress)
+        else:
+            count = share_mcap(source, path, wanted, preset, untouched, progress=progress)
+    return f"Frames {frames[0]} to {frames[-1]} ({count}) written to {path}."

@@ -365,8 +365,7 @@ class MainWindow(QMainWindow):
 
     def _show_newest(self) -> None:
         result = self.worker.take()
-        if result is None:
-            return
+        assert result is not None
         self.presenter.show(result)
         self.actions_.export.setEnabled(True)
         self.context.frameShown.emit()

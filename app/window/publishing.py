@@ -28,7 +28,7 @@ _INTERVAL_MS = 500
 class PublishPanel(QWidget):
     """What is published where, the switch, and who listens."""
 
-    def __init__(self) -> None:
+    def __init__(self, connections: Connections) -> None:
         super().__init__()
         self.foxglove, self.ros2 = QCheckBox("&Foxglove"), QCheckBox("&ROS 2")
         self.port, self.domain, self.namespace, self.host = QSpinBox(), QSpinBox(), QLineEdit(), QLineEdit(LOOPBACK)
@@ -58,9 +58,15 @@ class PublishPanel(QWidget):
         self.state = NoteLabel(lines=2)
         self.state.setAccessibleName("Who listens")
         vbox(grid, self.note, self.start, self.state, within=self, margins=0)
+        self.foxglove.setChecked(connections.foxglove)
+        self.ros2.setChecked(connections.ros2)
+        self.port.setValue(connections.port)
+        self.domain.setValue(connections.domain)
+        self.namespace.setText(connections.namespace)
         for box in (self.foxglove, self.ros2):
             box.toggled.connect(self._check)
         self.host.textChanged.connect(self._check)
+        self._check()
 
     @property
     def connections(self) -> Connections:
@@ -72,14 +78,6 @@ class PublishPanel(QWidget):
             self.domain.value(),
             self.namespace.text().strip(),
         )
-
-    def show_connections(self, connections: Connections) -> None:
-        self.foxglove.setChecked(connections.foxglove)
-        self.ros2.setChecked(connections.ros2)
-        self.port.setValue(connections.port)
-        self.domain.setValue(connections.domain)
-        self.namespace.setText(connections.namespace)
-        self._check()
 
     def show_state(self, running: bool, sentence: str = "", error: bool = False) -> None:
         self.start.setChecked(running)
@@ -108,8 +106,7 @@ class PublishControl(QObject):
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
         self._closed = Event()
-        self.panel = PublishPanel()
-        self.panel.show_connections(self._remembered())
+        self.panel = PublishPanel(self._remembered())
         panel = self.panel
         chosen = panel.foxglove.toggled, panel.ros2.toggled
         for edited in (*chosen, panel.port.valueChanged, panel.domain.valueChanged, panel.namespace.textChanged):

@@ -58,20 +58,22 @@ class _Model(QAbstractTableModel):
 
     ticked = pyqtSignal(object, bool)
 
-    def __init__(self, columns: Sequence[Column], marked: Callable[[Any], bool] | None) -> None:
+    def __init__(
+        self, columns: Sequence[Column], key: Callable[[Any], Any], marked: Callable[[Any], bool] | None
+    ) -> None:
         super().__init__()
-        self.columns = tuple(columns)
+        self.columns, self.key = tuple(columns), key
         self.given: tuple[Any, ...] = ()
         self.records: tuple[Any, ...] = ()
         self._marked = marked
         self._sorted: tuple[Column, bool] | None = None
 
-    def show(self, records: Sequence[Any], same_rows: Callable[[Sequence[Any], Sequence[Any]], bool]) -> None:
+    def show(self, records: Sequence[Any]) -> None:
         self.given = shown = tuple(records)
         if self._sorted is not None:
             column, falls = self._sorted
             shown = tuple(sorted(records, key=column.place, reverse=falls))
-        if shown and same_rows(shown, self.records):
+        if shown and [*map(self.key, shown)] == [*map(self.key, self.records)]:
             self.records = shown
             self.dataChanged.emit(self.index(0, 0), self.index(len(shown) - 1, len(self.columns) - 1))
         else:
@@ -81,7 +83,7 @@ class _Model(QAbstractTableModel):
 
     def sort(self, column: int, order: Qt.SortOrder = Qt.SortOrder.AscendingOrder) -> None:
         self._sorted = self.columns[column], order == Qt.SortOrder.DescendingOrder
-        self.show(self.given, lambda *_: False)
+        self.show(self.given)
 
     def rowCount(self, parent: QModelIndex | None = None) -> int:
         return 0 if parent is not None and parent.isValid() else len(self.records)
@@ -144,10 +146,9 @@ class RecordTable(QTableView):
         sortable: bool = False,
     ) -> None:
         super().__init__()
-        self._key = key
         self._box = next((column.ticked for column in columns if column.ticked is not None), None)
         self._showing = False
-        self._model = _Model(columns, marked)
+        self._model = _Model(columns, key, marked)
         self.setModel(self._model)
         self._kept: tuple[Any, ...] = ()  # keys of the selected rows while all are replaced
         self._model.modelAboutToBeReset.connect(lambda: setattr(self, "_kept", self.selected_keys()))
@@ -184,14 +185,14 @@ class RecordTable(QTableView):
         return self._model.given
 
     def set_records(self, records: Sequence[Any]) -> None:
-        self._model.show(records, lambda new, old: list(map(self._key, new)) == list(map(self._key, old)))
+        self._model.show(records)
 
     def selected_keys(self) -> tuple[Any, ...]:
-        return tuple(self._key(record) for record in self._selected())
+        return tuple(map(self._model.key, self._selected()))
 
     def select(self, keys: Sequence[Any]) -> None:
         """Select the rows with these keys and scroll to the first; never emits."""
-        rows = [row for row, record in enumerate(self._model.records) if self._key(record) in keys]
+        rows = [row for row, record in enumerate(self._model.records) if self._model.key(record) in keys]
         if sorted(index.row() for index in self._selection.selectedRows()) == rows:
             return
         chosen = QItemSelection()

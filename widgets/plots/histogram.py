@@ -61,7 +61,6 @@ class LimitHistogram(QWidget):
         self._counts: Float64Array = np.zeros(1)
         self._edges: Float64Array = np.array([-limit if quantity.symmetric else 0.0, limit])
         self._known = 0
-        self._stale = False
         self._clock = GestureClock()
         self.plot_widget = Plot(unit=quantity.unit)
         self.plot_widget.setMinimumWidth(200)
@@ -102,11 +101,6 @@ class LimitHistogram(QWidget):
             self._place_lines()
             self._draw()
 
-    def showEvent(self, event: Any) -> None:
-        super().showEvent(event)
-        if self._stale:
-            self._draw()
-
     def _dragging(self) -> bool:
         return any(line.moving for line in self.lines)
 
@@ -126,9 +120,6 @@ class LimitHistogram(QWidget):
             line.setValue(sign * self._limit * self._quantity.factor)
 
     def _draw(self) -> None:
-        self._stale = not self.isVisible()
-        if self._stale:
-            return
         symmetric, limit = self._quantity.symmetric, self._limit
         centres = (self._edges[:-1] + self._edges[1:]) / 2
         shown = self._edges * self._quantity.factor
