@@ -236,8 +236,11 @@ def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
 
 
 @contextmanager
-def open_checked(name: str, preset: Preset | None = None) -> Iterator[FrameSource]:
-    """Open a source, live cameras as a preset says, and warn where preset and rig do not match."""
+def open_with_progress(name: str, preset: Preset | None = None, *, compiles: bool = False) -> Iterator[FrameSource]:
+    """Open a source, live cameras as a preset says; warn where preset and rig do not match, and of lost frames.
+
+    With ``compiles`` what the preset's first frame would wait for is compiled; frames count as lost from then on.
+    """
     from ...core.sources.registry import open_source
 
     with CliProgress() as progress:
@@ -247,30 +250,17 @@ def open_checked(name: str, preset: Preset | None = None) -> Iterator[FrameSourc
     with source:
         if preset is not None:
             warn(*check_rig(preset, source.rig))
-        yield source
+        if preset is not None and compiles:
+            from ...core.warmup import warm_up_if_needed
 
-
-@contextmanager
-def compiled_for(preset: Preset | None, source: FrameSource) -> Iterator[None]:
-    """Compile what the first frame of a preset would wait for, and warn of frames that are lost from then on."""
-    if preset is not None:
-        from ...core.warmup import warm_up_if_needed
-
-        with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing, preset)
-    lost_before = source.health().dropped
-    try:
-        yield
-    finally:
-        if lost := source.health().dropped - lost_before:
-            warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses this computer or its USB")
-
-
-@contextmanager
-def open_with_progress(name: str, preset: Preset | None = None, *, compiles: bool = False) -> Iterator[FrameSource]:
-    """Open a source as `open_checked` does; ``compiles`` what the preset needs, and warn of lost frames."""
-    with open_checked(name, preset) as source, compiled_for(preset if compiles else None, source):
-        yield source
+            with CliProgress() as progress:
+                warm_up_if_needed(progress.preparing, preset)
+        lost_before = source.health().dropped
+        try:
+            yield source
+        finally:
+            if lost := source.health().dropped - lost_before:
+                warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses this computer or its USB")
 
 
 @contextmanager

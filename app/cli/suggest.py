@@ -17,8 +17,6 @@ from .common import (
     PresetOption,
     SourceOption,
     chosen_preset,
-    compiled_for,
-    open_checked,
     open_with_progress,
     say,
     usable,
@@ -102,19 +100,22 @@ def findings(
     untouched frame of the preset or the recording is used too.
     """
     chosen, origin = chosen_preset(preset, source)
-    with open_checked(source, chosen) as opened:
+    with open_with_progress(source, chosen) as opened:
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
         from ...core.rig.untouched import kept_untouched
         from ...core.tuning.advice.findings import Examiner, unusable_test
+        from ...core.warmup import warm_up_if_needed
 
         untouched = usable(kept_untouched(chosen, origin, opened))
         unusable = unusable_test(chosen, opened.rig, untouched)
-        found: tuple[Finding, ...] = () if unusable is None else (unusable,)
-        if unusable is None:
-            with compiled_for(chosen, opened):
-                pipeline, frames = ContactPipeline(chosen, opened.rig, untouched), _recent_frames(opened, frame)
-                patches = [pipeline.process(each) for each in frames]
-                found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, untouched)
+        frames = _recent_frames(opened, frame) if unusable is None else ()
+    found: tuple[Finding, ...] = () if unusable is None else (unusable,)
+    if unusable is None:
+        with CliProgress() as progress:
+            warm_up_if_needed(progress.preparing, chosen)
+        pipeline = ContactPipeline(chosen, opened.rig, untouched)
+        patches = [pipeline.process(each) for each in frames]
+        found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, untouched)
     for finding in found:
         say(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:
