@@ -104,13 +104,14 @@ def findings(
         from ...core.contact.pipeline import ContactPipeline  # after a wrong source was told
         from ...core.rig.untouched import kept_untouched
         from ...core.tuning.advice.findings import Examiner, unusable_test
-        from ...core.warmup import warm_up_if_needed
 
         untouched = usable(kept_untouched(chosen, origin, opened))
         unusable = unusable_test(chosen, opened.rig, untouched)
         frames = _recent_frames(opened, frame) if unusable is None else ()
     found: tuple[Finding, ...] = () if unusable is None else (unusable,)
     if unusable is None:
+        from ...core.warmup import warm_up_if_needed
+
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, chosen)
         pipeline = ContactPipeline(chosen, opened.rig, untouched)
