@@ -196,6 +196,8 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 #: Largest distance between drawn points as a share of their size: they overlap.
 _APART = 0.75
+#: In views so far zoomed in that points grow by this factor they grow by it again, for surfaces seen at a slant.
+_SLANTED = 1.5
 #: Edge length in pixels up to which points grow to close gaps, as in a view zoomed to the patch.
 _MAX_CLOSING = 16
 #: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
@@ -290,6 +292,8 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
         seen = look.camera.project(places, *look.size)
         if (seen[:, 2] > 0).all():
             needed = max(needed, float(np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1).max()) / _APART)
+    if needed > _SLANTED * look.point_size:
+        needed *= _SLANTED
     step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
     return step, max(look.point_size, min(math.ceil(step * needed), _MAX_CLOSING))
 
