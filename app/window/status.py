@@ -49,7 +49,7 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
 
 
 class FrameDetails(QLabel):
-    """The numbers of the newest frame that do not stand on the patch: doubt, rates, losses, skew and times."""
+    """The numbers of the newest frame that do not stand on the patch: doubt, losses, skew and times."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -60,19 +60,17 @@ class FrameDetails(QLabel):
         self.setMinimumHeight(9 * self.fontMetrics().lineSpacing())  # so that nothing moves
         self.setAlignment(Qt.AlignmentFlag.AlignTop)
 
-    def show_result(self, result: Result, shown_fps: float) -> None:
-        patch, runs = result.patch, result.playback.playing
+    def show_result(self, result: Result) -> None:
+        patch, doubt = result.patch, result.doubt
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
         times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "nothing new to compute"
         points = "none" if patch is None else counted(len(patch.points), "point")
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
-        doubt = result.doubt
         lines = (
             f"Doubts about contact: {'not judged' if doubt is None else ', '.join(doubt.reasons) or 'none'}",
             f"Patch: {points}",
-            f"Drawn: {f'{shown_fps:.0f} fps' if runs else 'paused'}",
             f"Dropped: {result.dropped}, unmatched: {result.unmatched}",
             f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
             f"Reading: {result.read_ms:.1f} ms, drawing: {result.render_ms:.1f} ms",
@@ -92,7 +90,7 @@ class FrameStatus(QStatusBar):
         self._pace, self._shown_fps = Pace(INTERVAL_S), 0.0
         self._playback, self._stale, self._recording = PlaybackState(), False, False
         self.details = FrameDetails()  # the window puts it among the controls of a mode
-        self.state = _flat_button("Rates, dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
+        self.state = _flat_button("Dropped frames, skew and times of the stages: in Record and run (Ctrl+3)")
         self.state.setText("No source")
         self.addWidget(self.state)
         self.readout = ElidedLabel()  # it has a tooltip of its own only while its end is cut off
@@ -119,7 +117,7 @@ class FrameStatus(QStatusBar):
         self._shown_rate.tick()
         if self._pace.due(result):
             self._shown_fps = self._shown_rate.rate()
-            self.details.show_result(result, self._shown_fps)
+            self.details.show_result(result)
         return self._shown_fps
 
     def _show_words(self) -> None:
