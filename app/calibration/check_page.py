@@ -12,8 +12,6 @@ from ...core.calibration.check import compare_alignments
 from ...core.calibration.geometry import Alignment
 from ...core.calibration.report import CalibrationReport
 from ...core.model.arrays import Uint8Array
-from ...core.model.frames import Rig, SensorFrame
-from ...core.preset import AlignmentSection
 from ...widgets.basics.controls import caption, choice_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.point_image import PointImage
@@ -82,7 +80,10 @@ class CheckPage(QWidget):
             self._show_none("Take a snapshot to compare the images")
         elif (snapshot, wanted) != self._drawn:
             self._drawn = (snapshot, wanted)
-            self.job.start(lambda _: overlay_by(wanted, self._session.rig, snapshot.frame))
+            rig, frame = self._session.rig, snapshot.frame
+            image: ImageChoice = "depth" if frame.tactile_color is None else "color"
+            fitted = wanted.chosen.fit.alignment if isinstance(wanted, CalibrationReport) else None
+            self.job.start(lambda _: overlay(fitted or Alignment.of_preset(preset.alignment, rig), rig, frame, image))
 
     def _show_overlay(self, images: tuple[Uint8Array, Uint8Array]) -> None:
         self._images = images
@@ -97,13 +98,3 @@ class CheckPage(QWidget):
             share = self.share.value() / 100
             mixed = cv2.addWeighted(self._images[0], share, self._images[1], 1.0 - share, 0.0)
             self.image.set_image(np.asarray(mixed, np.uint8))
-
-
-def overlay_by(
-    alignment: CalibrationReport | AlignmentSection, rig: Rig, frame: SensorFrame
-) -> tuple[Uint8Array, Uint8Array]:
-    """Lay the proximity image over the tactile image by a new alignment or a preset's, in colour where both have it."""
-    image: ImageChoice = "depth" if frame.tactile_color is None else "color"
-    if isinstance(alignment, CalibrationReport):
-        return overlay(alignment.chosen.fit.alignment, alignment.rig, frame, image)
-    return overlay(Alignment.of_preset(alignment, rig), rig, frame, image)

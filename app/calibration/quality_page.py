@@ -81,8 +81,7 @@ class QualityPage(QWidget):
         self._outcome = Outcome()
         self._drawn: tuple[object, ...] = ()
         self.job = Job(self)
-        title = "Expected alignment error, one standard deviation"
-        self.map = PointImage(title, magnifies=False)
+        self.map = PointImage("Expected alignment error, one standard deviation", magnifies=False)
         self.grade, self.why, self.step = wrapped_label(verdict=True), wrapped_label(), wrapped_label()
         self.step.setFont(text_font("body", bold=True))
         self.model = QComboBox()

@@ -188,8 +188,7 @@ class CalibrationWizard(QDialog):
         """Say until the next step what was restored, and that it is of another source: so may be its membrane."""
         state, elsewhere = self.session.state, self._elsewhere()
         of = f" of {', '.join(state.sources)}" if state.sources else ""
-        half = " and one half" if state.pending is not None else ""
-        held = f"{counted(len(state.complete_pairs), 'pair')}{half}, {counted(len(state.snapshots), 'snapshot')}"
+        held = f"{counted(len(state.complete_pairs), 'pair')}, {counted(len(state.snapshots), 'snapshot')}"
         words = f"Restored the calibration{of} from {kept_at.astimezone():%d %B, %H:%M}: {held}."
         if elsewhere:
             words += f" {self._context.source_name} is open now: take new snapshots, or start over."

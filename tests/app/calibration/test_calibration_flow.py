@@ -190,7 +190,7 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     np.testing.assert_array_equal(again.session.state.snapshots[0].frame.tactile_depth, frames[0.2].tactile_depth)
     assert again.stack.currentIndex() == 1
     assert "Restored the calibration of tiny" in again.restored.text()
-    assert again.restored.text().endswith(": 0 pairs and one half, 1 snapshot.")
+    assert again.restored.text().endswith(": 0 pairs, 1 snapshot.")
     QTest.keyClick(again, Qt.Key.Key_1, CONTROL)
     assert not again.restored.isVisible()
 
