@@ -112,14 +112,9 @@ class AnalysisWindow(QDialog):
         context.frameShown.connect(self.show_newest)
         vbox(self.tabs, within=self, margins=(0, 4, 0, 0))
         self.resize(960, 640)
-        if not self.restoreGeometry(context.settings.blob(_GEOMETRY)):
-            self._stand_aside(context.window)
-
-    def _stand_aside(self, main: QWidget) -> None:
-        """Move to the lower right corner of the screen, where most of the main window's views stay visible."""
-        screen = main.screen()
-        if screen is not None:
-            room = room_on(screen)
+        screen = context.window.screen()
+        if not self.restoreGeometry(context.settings.blob(_GEOMETRY)) and screen is not None:
+            room = room_on(screen)  # in the lower right corner most of the main window's views stay visible
             self.move(max(room.right() - self.width(), room.left()), max(room.bottom() - self.height(), room.top()))
 
     def open_on(self, name: str) -> None:

@@ -75,8 +75,6 @@ _COLLAPSED_AT_FIRST = "alignment,range,region"
 class MainWindow(QMainWindow):
     """Shows both sensors and the patch live. It computes nothing: the `Worker` does, and draws what is visible."""
 
-    force: ForceWindow | None = None  # made when it is first opened
-
     def __init__(self, preset: Preset, settings: Settings, data_folder: Path, native_dialogs: bool = True) -> None:
         super().__init__()
         self.settings = settings
@@ -151,6 +149,7 @@ class MainWindow(QMainWindow):
         assert bar is not None
         self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
         self.pointing = Pointing(self.context, self.views, self.strip)
+        self.force = ForceWindow(self.context)
         self.publishing = PublishControl(self.context, self.status.publishing)
         self.set_up = SetUpPanel(self.context, self.actions_.by_name())
         run = RunPanel(self.context, self.actions_, self.recording, self.publishing.panel, self.status.details)
@@ -258,7 +257,7 @@ class MainWindow(QMainWindow):
         actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.check_drift.triggered.connect(self.watch.open)
-        actions.calibrate_force.triggered.connect(self._calibrate_force)
+        actions.calibrate_force.triggered.connect(partial(bring_up, self.force))
         actions.measure_noise.triggered.connect(lambda: self._come_to(self.set_up.noise))
         actions.findings.triggered.connect(self.rail.focus_first)
         actions.publish.triggered.connect(self._show_publishing)
@@ -391,11 +390,6 @@ class MainWindow(QMainWindow):
         self.modes.choose(Mode.SET_UP)
         self.set_up.choose(step)
 
-    def _calibrate_force(self) -> None:
-        if self.force is None:
-            self.force = ForceWindow(self.context)
-        bring_up(self.force)
-
     def _show_color_image(self) -> None:
         if self.views.large is not self.strip.panes["color"]:
             self.views.back()
@@ -522,15 +516,8 @@ class MainWindow(QMainWindow):
     def shut_down(self) -> None:
         self.context.blockSignals(True)  # a frame that is on its way starts nothing
         showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.set_up)
-        for part in (
-            *showing,
-            self.cameras,
-            self.topics,
-            self.sources,
-            self.analysis,
-            self.untouched,
-            self.calibration,
-        ):
+        opening = (self.cameras, self.topics, self.sources, self.analysis, self.untouched, self.calibration)
+        for part in (*showing, *opening):
             part.close()
         self.worker.shut_down()
 
