@@ -7,14 +7,14 @@ from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QGridLayout, QLineEdit, QPushButton, QWidget
+from PyQt6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QPushButton, QWidget
 
 from ...core.calibration.rig_from_folder import FolderRig, rig_from_folder
 from ...core.errors import TactuneError, as_sentence
 from ...core.sources.folder import write_rig
 from ...widgets.basics.controls import NoteLabel, caption, dialog_buttons, named, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
-from ...widgets.basics.layouts import STRETCH, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..worker.jobs import Job
 
 _LENSES = {"proximity": "&Proximity lens", "tactile": "&Tactile lens", "color": "Proximity &colour lens"}
@@ -35,22 +35,20 @@ class FolderRigDialog(QDialog):
         self._folder, self._dialogs = folder, dialogs.over(self)
         self.found: FolderRig | None = None
         self._job = Job(self, self._show, lambda sentence: self._refuse(sentence) if sentence else None)
-        grid = QGridLayout()
+        form = QFormLayout()
         two = {"proximity_depth", "tactile_depth"} <= set(slots)  # else the only depth is the tactile camera's
         roles = ["proximity", "tactile", "color"] if two and "proximity_color" in slots else list(_LENSES)[not two : 2]
-        self.lenses = {role: self._add_lens(grid, role) for role in roles}
+        self.lenses = {role: self._add_lens(form, role) for role in roles}
         tip = "mm, metres per count such as 0.0001 or 1/5000, or proximity=UNIT,tactile=UNIT"
         self.unit = named(QComboBox(), "Unit of the depth", tip)
         self.unit.setEditable(True)
         self.unit.addItems(_UNITS)
-        row = grid.rowCount()
-        grid.addWidget(caption("&Unit of depth", self.unit), row, 0)
-        grid.addWidget(self.unit, row, 1)
+        form.addRow("&Unit of depth", self.unit)
         self.note, self.about = NoteLabel(lines=3), NoteLabel()
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
         self._open = self.buttons.button(QDialogButtonBox.StandardButton.Open) or QPushButton()
         intro = f"{folder}\nThese images have no rig.json. State what no file beside them does; Open writes it there."
-        vbox(wrapped_label(intro), grid, self.note, self.about, STRETCH, self.buttons, within=self)
+        vbox(wrapped_label(intro), form, self.note, self.about, STRETCH, self.buttons, within=self)
         self.unit.currentTextChanged.connect(self._look)
         self.buttons.accepted.connect(self.accept)
         self.buttons.rejected.connect(self.reject)
@@ -68,13 +66,11 @@ class FolderRigDialog(QDialog):
             return
         super().accept()
 
-    def _add_lens(self, grid: QGridLayout, role: str) -> QLineEdit:
+    def _add_lens(self, form: QFormLayout, role: str) -> QLineEdit:
         title, choose = _LENSES[role], push_button("Choose…", "Choose the file of this lens")
         field = named(QLineEdit(), title.replace("&", ""), _LENS_TIP)
         field.setPlaceholderText("as a file beside the images states it")
-        row = grid.rowCount()
-        for column, widget in enumerate((caption(title, field), field, choose)):
-            grid.addWidget(widget, row, column)
+        form.addRow(caption(title, field), hbox((field, 1), choose))
         field.textChanged.connect(self._look)
         take = partial(self._take, field)
         choose.clicked.connect(lambda: self._dialogs.open_file("lens", "Open the file of a lens", LENS_FILES, take))

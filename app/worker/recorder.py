@@ -36,10 +36,6 @@ class Recorder:
         self._watcher: tuple[Callable[[SensorFrame], object], Callable[[str], object]] | None = None
         self._finishing: list[Thread] = []
 
-    @property
-    def running(self) -> bool:
-        return self._writer is not None
-
     def status(self) -> RecordingStatus | None:
         writer = self._writer
         return None if writer is None else self._with_refused(writer.status())

@@ -167,7 +167,7 @@ def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
     recorder.start(*request(tmp_path))
     recorder.put(frame(0))
     recorder.stop("another source was opened")
-    assert not recorder.running
+    assert recorder.status() is None
     assert ends == []
     made[0].may_close.set()
     recorder.close()
@@ -179,7 +179,7 @@ def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tm
     recorder.put(frame(0))
     made[0].fault = RuntimeError("broken")
     recorder.put(frame(1))
-    assert not recorder.running
+    assert recorder.status() is None
     made[0].may_close.set()
     recorder.close()
     assert ends[0].reason == "Frame 1 could not be recorded (RuntimeError: broken)."
