@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import AdviceError
-from .common import (
-    CliProgress,
-    PresetOption,
-    SourceOption,
-    chosen_preset,
-    open_with_progress,
-    say,
-    usable,
-    warn,
-)
+from .common import CliProgress, PresetOption, SourceOption, chosen_preset, open_with_progress, say, usable, warn
 from .preset import check_target, save_changed
 
 if TYPE_CHECKING:

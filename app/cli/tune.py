@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...core.errors import ExportError, TactuneError, counted
-from .common import (
-    INTERRUPTED_STATUS,
-    CliProgress,
-    say,
-    stop_on_signals,
-    table_text,
-    warn,
-)
+from .common import INTERRUPTED_STATUS, CliProgress, say, stop_on_signals, table_text, warn
 
 if TYPE_CHECKING:
     from ...core.sources import FrameSource

@@ -12,14 +12,7 @@ from typing import Protocol
 
 from PyQt6.QtCore import QMimeData, QRect, QSize, Qt
 from PyQt6.QtGui import QScreen
-from PyQt6.QtWidgets import (
-    QAbstractButton,
-    QApplication,
-    QFileDialog,
-    QLabel,
-    QMessageBox,
-    QWidget,
-)
+from PyQt6.QtWidgets import QAbstractButton, QApplication, QFileDialog, QLabel, QMessageBox, QWidget
 
 from .controls import add_mnemonics
 

@@ -11,15 +11,7 @@ import numpy as np
 
 from ...core.model.arrays import BoolArray, Float32Array, Uint8Array
 from ...core.model.patch import relative_difference
-from ..basics.colormaps import (
-    CONTACT_RGB,
-    DIFFERENCE_LIMIT,
-    MASKED_RGB,
-    depth_lut,
-    difference_lut,
-    scale_index,
-    tint,
-)
+from ..basics.colormaps import CONTACT_RGB, DIFFERENCE_LIMIT, MASKED_RGB, depth_lut, difference_lut, scale_index, tint
 
 #: Names of the images.
 IMAGES: Final = ("color", "proximity", "tactile", "difference")
