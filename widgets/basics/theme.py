@@ -103,30 +103,22 @@ def text_font(size: TextSize, *, bold: bool = False) -> QFont:
 def make_palette(colors: ThemeColors) -> QPalette:
     role = QPalette.ColorRole
     palette = QPalette()
-    for target, value in {
-        role.Window: colors.window,
-        role.Base: colors.base,
-        role.AlternateBase: colors.alternate,
-        role.Button: colors.button,
-        role.Mid: colors.border,
-        role.Dark: colors.border,
-        role.Light: colors.alternate,
-        role.Midlight: colors.alternate,
-        role.Shadow: "#000000",
-        role.ToolTipBase: colors.alternate,
-        role.ToolTipText: colors.text,
-        role.WindowText: colors.text,
-        role.Text: colors.text,
-        role.ButtonText: colors.text,
-        role.BrightText: colors.error,
-        role.PlaceholderText: colors.muted,
-        role.Link: colors.accent_text,
-        role.LinkVisited: colors.accent_text,
-        role.Highlight: colors.accent,
-        role.HighlightedText: colors.on_accent,
-        role.Accent: colors.accent,
-    }.items():
-        palette.setColor(target, QColor(value))
+    for color, roles in (
+        (colors.window, [role.Window]),
+        (colors.base, [role.Base]),
+        (colors.alternate, [role.AlternateBase, role.Light, role.Midlight, role.ToolTipBase]),
+        (colors.button, [role.Button]),
+        (colors.border, [role.Mid, role.Dark]),
+        ("#000000", [role.Shadow]),
+        (colors.text, [role.WindowText, role.Text, role.ButtonText, role.ToolTipText]),
+        (colors.muted, [role.PlaceholderText]),
+        (colors.error, [role.BrightText]),
+        (colors.accent_text, [role.Link, role.LinkVisited]),
+        (colors.accent, [role.Highlight, role.Accent]),
+        (colors.on_accent, [role.HighlightedText]),
+    ):
+        for target in roles:
+            palette.setColor(target, QColor(color))
     disabled = QPalette.ColorGroup.Disabled
     for target in (role.WindowText, role.Text, role.ButtonText):
         palette.setColor(disabled, target, QColor(colors.disabled))
