@@ -32,12 +32,8 @@ _LENS_HELP = (
 
 def calibrate(
     *,
-    points: Annotated[
-        Path, typer.Option("--points", metavar="FILE", help="Clicked pairs: CSV as the wizard exports it.")
-    ],
-    rig: Annotated[
-        str, typer.Option("--rig", metavar="FILE|SOURCE", help="A rig.json, a preset that has a rig, or a source.")
-    ],
+    points: Annotated[Path, typer.Option(metavar="FILE", help="Clicked pairs: CSV as the wizard exports it.")],
+    rig: Annotated[str, typer.Option(metavar="FILE|SOURCE", help="A rig.json, a preset that has a rig, or a source.")],
     model: Annotated[
         Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
     ] = "auto",

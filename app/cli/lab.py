@@ -51,12 +51,7 @@ NamesOption = Annotated[
 ]
 CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write the lines to a CSV file.")]
 
-lab_commands = typer.Typer(
-    help="For papers (extra lab): tables, strain, scans, run times.",
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-)
+lab_commands = typer.Typer(help="For papers (extra lab): tables, strain, scans, run times.", no_args_is_help=True)
 
 
 @lab_commands.command()
@@ -151,7 +146,7 @@ def strain(
     preset: PresetOption = None,
     spacing_mm: Annotated[
         float,
-        typer.Option("--spacing-mm", min=1, max=100, metavar="MM", help="Distance between dots on the flat sheet."),
+        typer.Option(min=1, max=100, metavar="MM", help="Distance between dots on the flat sheet."),
     ] = 10.0,
     frames: FrameCount = None,
     average: Annotated[

@@ -42,12 +42,7 @@ _MeasuredOut = Annotated[
     typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
 ]
 
-preset_commands = typer.Typer(
-    help="Make, show, check and improve presets and rigs.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+preset_commands = typer.Typer(help="Make, show, check and improve presets and rigs.", no_args_is_help=True)
 
 
 @preset_commands.command()

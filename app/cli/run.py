@@ -66,10 +66,7 @@ Estimate = Literal["tilt"]
 Lines = Literal["json", "text"]
 EstimateOption = Annotated[
     Estimate | None,
-    typer.Option(
-        "--estimate",
-        help="Add roll, pitch and long axis of each patch with their standard deviations.",
-    ),
+    typer.Option(help="Add roll, pitch and long axis of each patch with their standard deviations."),
 ]
 
 

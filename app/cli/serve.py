@@ -74,7 +74,7 @@ def serve(
         Path | None, typer.Option(metavar="FILE", help="Track this object (.obj, .ply, .stl) and publish its pose.")
     ] = None,
     unit: UnitOption = None,
-    layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
+    layout: Annotated[Path | None, typer.Option(metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2.
 
