@@ -93,7 +93,6 @@ class FramePresenter(QObject):
     def __init__(
         self,
         context: Context,
-        *,
         views: ViewArea,
         strip: ImageStrip,
         panel: ParameterPanel,

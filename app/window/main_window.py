@@ -97,14 +97,7 @@ class MainWindow(QMainWindow):
         self.dialogs = Dialogs(self, settings, native_dialogs)
         self.context = Context(self.document, self.worker, self.messages, self.dialogs, settings, data_folder, self)
         self.file_flows = FileFlows(self.context, self.autosave, self.actions_)
-        self.presenter = FramePresenter(
-            self.context,
-            views=self.views,
-            strip=self.strip,
-            panel=self.panel,
-            transport=self.transport,
-            status=self.status,
-        )
+        self.presenter = FramePresenter(self.context, self.views, self.strip, self.panel, self.transport, self.status)
         self.comparison = ComparisonPanel(self.context, self.actions_, self.presenter)
         self.rail = FindingsRail()
         self.findings = FindingsControl(self.context, self.actions_, panel=self.panel, views=self.views, rail=self.rail)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from threading import Event
-from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
 from PyQt6.QtCore import QObject
@@ -13,13 +12,11 @@ from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLineEdit, QPushButton, QSpi
 
 from ...core.errors import as_sentence, counted
 from ...core.output.connections import LOOPBACK, Connections
+from ...core.output.publisher import OutputStatus, Publisher
 from ...widgets.basics.controls import NoteLabel, caption, choice_button, timer
 from ...widgets.basics.layouts import vbox
 from ..context import Context
 from ..worker.jobs import Job
-
-if TYPE_CHECKING:
-    from ...core.output.publisher import OutputStatus, Publisher
 
 #: Interval at which clients and rates are shown, ms.
 _INTERVAL_MS = 500
@@ -130,8 +127,6 @@ class PublishControl(QObject):
         self.panel.start.setEnabled(False)
 
         def start(_: object) -> Publisher:
-            from ...core.output.publisher import Publisher
-
             publisher = self._publisher = Publisher(connections.make_sinks())
             if self._closed.is_set():  # the window has closed meanwhile, perhaps before it saw this publisher
                 publisher.close()

@@ -7,7 +7,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.errors import PresetError, SourceError
@@ -17,12 +16,10 @@ from ...core.model.patch import Doubt, Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched, kept_untouched
 from ...core.sources.base import FrameSource, Health, Progress
+from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.images.strip_render import IMAGES, RenderedStrip
 from ..document.comparison import Side
 from .playback import PlaybackState
-
-if TYPE_CHECKING:
-    from ...widgets.clouds.cloud_data import DepthCloud
 
 
 class _AtRest(FrameSource):

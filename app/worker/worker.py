@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, Final
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.model.frames import SensorFrame
+from ...core.model.patch import Lazy
+from ...core.output.publisher import Publisher
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
 from ..document.comparison import Sides
@@ -33,7 +35,6 @@ from .threads import Mailbox, abandon, leave_room_for_the_window
 
 if TYPE_CHECKING:
     from ...core.estimation.pose import PoseEstimate
-    from ...core.output.publisher import Publisher
 
 #: Grace period before a hung worker is abandoned, in ms; longer than that of a live source.
 PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
@@ -403,7 +404,6 @@ class Worker(QThread):
 def _publish(publisher: Publisher, result: Result) -> None:
     """Publish a frame with its patch and tilt; the tilt is computed if a client listens to it."""
     from ...core.estimation.tilt import TiltEstimator
-    from ...core.model.patch import Lazy
 
     patch = result.patch
     if patch is not None:
