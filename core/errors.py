@@ -3,6 +3,14 @@
 Every message names the field or file, the value found there and what to do.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
 
 class TactuneError(Exception):
     """Root of every error that a person or a program can act on. Its text is one line, without control characters."""
@@ -45,6 +53,33 @@ class CalibrationError(TactuneError):
 
 class AdviceError(TactuneError):
     """A proposal that the evidence does not support; the message says why and what evidence is missing."""
+
+
+def extra(module: str, what: str, name: str) -> Any:
+    """Import a package of an optional extra; `MissingExtraError` says what needs it, and how it is installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(f"{what} needs {module}: install it with pip install 'tactune[{name}]'") from error
+
+
+@contextmanager
+def closed_on_error(close: Callable[[], object]) -> Iterator[None]:
+    """Close what is open so far if the block raises."""
+    try:
+        yield
+    except BaseException:
+        close()
+        raise
+
+
+@contextmanager
+def writing(target: Path | str) -> Iterator[None]:
+    """Say which file the operating system refuses to write, and why: an `ExportError`."""
+    try:
+        yield
+    except OSError as error:
+        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
 
 
 def printable(text: str) -> str:

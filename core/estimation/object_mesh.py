@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import MissingExtraError, SourceError, TactuneError, foreign
+from ..errors import MissingExtraError, SourceError, TactuneError, extra, foreign
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ..model.files import UNITS_M, user_path
 from ..model.frames import pose_matrix
@@ -138,12 +138,7 @@ def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
         raise SourceError(f"{path} has the suffix {path.suffix!r}; a mesh is one of {', '.join(suffixes)}")
     if not path.is_file():
         raise SourceError(f"cannot read {path}: there is no such file; check the path")
-    try:
-        import trimesh
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            'a mesh needs trimesh, which is not installed: pip install "tactune[open3d]"'
-        ) from error
+    trimesh = extra("trimesh", "a mesh", "open3d")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
     try:
         scene = trimesh.load_scene(path, process=False)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import Delaunay
 
-from ..errors import FrameError, MissingExtraError, TactuneError
+from ..errors import FrameError, TactuneError, extra
 from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
@@ -299,10 +299,7 @@ class MembraneProblem:
 
     def solve(self, way_m: Float64Array) -> Float64Array:
         """Return x for these displacements."""
-        try:
-            import piqp
-        except ImportError as error:
-            raise MissingExtraError("mechanics needs piqp: install it with pip install 'tactune[lab]'") from error
+        piqp = extra("piqp", "mechanics", "lab")
         P, q = self.program(way_m)
         if self._solver is None:  # the sparsity pattern is ordered and analysed once, with displacements of 0
             self._solver = piqp.SparseSolver()

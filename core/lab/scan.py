@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..calibration.geometry import moved
 from ..contact.masking import in_hsv_range
-from ..errors import MissingExtraError, SourceError, TactuneError, foreign
+from ..errors import SourceError, TactuneError, foreign
 from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
 from ..model.files import user_path
@@ -61,10 +61,6 @@ class Scan:
 
 def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
     """Read a ``.ply`` or ``.obj`` with colours of the vertices, or with a texture beside it."""
-    try:
-        import PIL.Image  # noqa: F401  # without Pillow, trimesh silently loads no texture
-    except ImportError as error:
-        raise MissingExtraError("a scan needs Pillow: install it with pip install 'tactune[lab]'") from error
     parts, colors = [], []
     for mesh in load_meshes(path, SUFFIXES):
         mesh.apply_scale(unit_m)

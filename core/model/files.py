@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from ..errors import ExportError
+from ..errors import ExportError, writing
 
 #: A temporary file that nobody has written to for this time was left by a killed writer, seconds.
 LEFT_S: Final = 3600
@@ -33,18 +33,17 @@ def atomic_path(target: Path | str, *, follow_link: bool = False, exclusive: boo
     final = Path(os.path.realpath(target)) if follow_link else Path(target)
     temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
     try:
-        if exclusive and os.path.lexists(final):
-            raise taken(target)
-        _check_ordinary(final)
-        final.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        if exclusive:
-            _take_name(temporary, final)
-        temporary.replace(final)
-    except OSError as error:
-        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+        with writing(target):
+            if exclusive and os.path.lexists(final):
+                raise taken(target)
+            _check_ordinary(final)
+            final.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            if exclusive:
+                _take_name(temporary, final)
+            temporary.replace(final)
     finally:
         with suppress(OSError):  # gone already, or its folder could not be made
             temporary.unlink()
@@ -89,11 +88,9 @@ def check_writable(target: Path | str | None) -> None:
     final = Path(target).absolute()
     folder = next(parent for parent in final.parents if parent.exists())
     temporary = folder / f".{secrets.token_hex(8)}"
-    try:
+    with writing(target):
         temporary.touch(exist_ok=False)
         temporary.unlink()
-    except OSError as error:
-        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
 
 
 def finite_or_none(number: float | None) -> float | None:

@@ -20,7 +20,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from ..errors import MissingExtraError, PublishError, foreign
+from ..errors import PublishError, extra, foreign
 from ..model.files import atomic_path
 from ..model.loading import parse_json
 from .messages import definition
@@ -106,10 +106,7 @@ class FoxgloveSink:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        try:
-            import websockets.asyncio.server  # noqa: F401  # only to say that it is missing
-        except ImportError as error:
-            raise MissingExtraError("Foxglove needs websockets: install it with pip install 'tactune[live]'") from error
+        extra("websockets", "Foxglove", "live")
         logging.getLogger("websockets").addHandler(logging.NullHandler())  # a client that vanishes is no news
         started: Future[int] = Future()
         self._thread = threading.Thread(target=self._run, args=(started,), name="Foxglove", daemon=True)

@@ -22,7 +22,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import MissingExtraError
+from ..errors import extra
 from ..model.files import atomic_path, remove_leftovers
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
@@ -40,10 +40,7 @@ def export_hdf5(
     exclusive: bool = False,
 ) -> int:
     """Write at most ``frames`` of a source, from its present position, whole or not at all; return how many."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingExtraError('HDF5 needs h5py: pip install "tactune[export]"') from error
+    h5py = extra("h5py", "HDF5", "export")
     untouched = source.untouched() if untouched is None else untouched
     remove_leftovers(Path(path).parent, Path(path).name)
     with atomic_path(path, exclusive=exclusive) as temporary:

@@ -19,7 +19,7 @@ from typing import Any, Final, Protocol
 
 from ..contact.alignment import tactile_pose
 from ..contact.pipeline import ContactPatch
-from ..errors import RigMismatchError
+from ..errors import RigMismatchError, closed_on_error
 from ..model.arrays import AnyArray, Float64Array, Uint16Array
 from ..model.clouds import deproject_image
 from ..model.frames import DepthCamera, SensorFrame
@@ -228,13 +228,10 @@ class Publisher:
         self._shift_ns = 0
         self._stamps_ns: dict[float, int] = {}
         self._outputs: list[_Output] = []
-        try:
+        with closed_on_error(self.close):
             for sink in sinks:
                 sink.start()
                 self._outputs.append(_Output(sink))
-        except BaseException:
-            self.close()
-            raise
 
     def put(
         self,

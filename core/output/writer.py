@@ -16,7 +16,7 @@ from typing import Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
 
-from ..errors import ExportError, TactuneError, counted
+from ..errors import ExportError, TactuneError, closed_on_error, counted, writing
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers, taken, user_path
 from ..model.frames import Rig, SensorFrame
@@ -80,7 +80,7 @@ class BagWriter:
         self.path = user_path(path)
         self.chunks = 0
         self._is_cut_off = False
-        with self._refusals():
+        with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 self._file = self.path.open("xb", buffering=0)
@@ -92,12 +92,8 @@ class BagWriter:
         files = {RIG_NAME: json_text(rig_to_json(rig)).encode(), **(attachments or {})}
         if preset is not None:
             files[PRESET_NAME] = preset_json(preset).encode()
-        try:
-            with self._refusals():
-                self._begin(topics, files, frame_rate_hz)
-        except BaseException:
-            self._discard()
-            raise
+        with closed_on_error(self._discard), writing(self.path):
+            self._begin(topics, files, frame_rate_hz)
 
     def _begin(self, topics: Mapping[str, str], files: Mapping[str, bytes], frame_rate_hz: float) -> None:
         writer = self._writer
@@ -122,7 +118,7 @@ class BagWriter:
     def write(self, sequence: int, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Write messages compressed together, with their index; the operating system has them when this returns."""
         try:
-            with self._refusals():
+            with writing(self.path):
                 for topic, stamp_ns, parts in messages:
                     data, number = b"".join(parts), sequence & 0xFFFFFFFF
                     self._writer.add_message(self._channels[topic], log_time_ns, data, max(stamp_ns, 0), number)
@@ -133,7 +129,7 @@ class BagWriter:
         self.chunks += 1
 
     def sync(self) -> None:
-        with self._refusals():
+        with writing(self.path):
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -145,7 +141,7 @@ class BagWriter:
             return
         try:
             if not self._is_cut_off:
-                with self._refusals():
+                with writing(self.path):
                     self._writer.finish()
             self.sync()
         finally:
@@ -154,13 +150,6 @@ class BagWriter:
     def _discard(self) -> None:
         self._file.close()
         self.path.unlink(missing_ok=True)
-
-    @contextmanager
-    def _refusals(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another place") from error
 
 
 class _Output:

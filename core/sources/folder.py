@@ -30,7 +30,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..errors import ExportError, SourceError
+from ..errors import ExportError, SourceError, writing
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
@@ -262,14 +262,13 @@ def export_folder(
     target = Path.cwd() / user_path(path)
     temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}.partial"
     try:
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
-        remove_leftovers(target.parent, f"{target.name}.partial")
-        temporary.mkdir(parents=True)
-        count = _write_recording(source, temporary, frames_to_write(source, frames, progress))
-        temporary.rename(target)  # takes the place of an empty folder in one step
-    except OSError as error:
-        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+        with writing(target):
+            if target.exists() and (not target.is_dir() or any(target.iterdir())):
+                raise ExportError(f"{target} is already there and no empty folder; choose another name or remove it")
+            remove_leftovers(target.parent, f"{target.name}.partial")
+            temporary.mkdir(parents=True)
+            count = _write_recording(source, temporary, frames_to_write(source, frames, progress))
+            temporary.rename(target)  # takes the place of an empty folder in one step
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return count

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import SourceError, foreign
+from ..errors import SourceError, closed_on_error, foreign
 from ..model.arrays import AnyArray, Float64Array
 from ..model.files import recording_files, user_path
 from ..model.frames import DepthCamera, camera_pose, pose_matrix
@@ -211,16 +211,12 @@ class RecordingFile(ABC):
 
 def open_recording(path: Path, progress: Progress) -> RecordingFile:
     bag = open_bag([path])
-    try:
-        with damage_told(path, "this is no readable RealSense recording"):
-            # Decided by content, because a .bag may have been renamed.
-            opened = (BagFile if isinstance(bag, Ros1Bag) else Db3File)(path, bag, progress)
-            if not opened.cameras:
-                raise DamagedFileError("it holds no depth images")
-            return opened
-    except BaseException:
-        bag.close()
-        raise
+    with closed_on_error(bag.close), damage_told(path, "this is no readable RealSense recording"):
+        # Decided by content, because a .bag may have been renamed.
+        opened = (BagFile if isinstance(bag, Ros1Bag) else Db3File)(path, bag, progress)
+        if not opened.cameras:
+            raise DamagedFileError("it holds no depth images")
+        return opened
 
 
 class BagFile(RecordingFile):

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ..errors import SourceError, foreign
+from ..errors import SourceError, closed_on_error, foreign
 from ..model.files import path_exists, recording_files, user_path
 from ..model.plugins import added_by_others
 from .base import FrameSource, Progress, SourceKind, split_topics
@@ -55,11 +55,8 @@ def _play_as_live(name: str, progress: Progress) -> FrameSource:
     from .play_as_live import PlayAsLive
 
     source = open_source(name, progress)
-    try:
+    with closed_on_error(source.close):
         return PlayAsLive(source)
-    except SourceError:
-        source.close()
-        raise
 
 
 def _open_recording(scheme: str, rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:

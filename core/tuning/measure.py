@@ -25,7 +25,7 @@ import numpy as np
 
 from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
-from ..errors import MissingExtraError, TactuneError, foreign
+from ..errors import TactuneError, extra, foreign
 from ..model.arrays import BoolArray, Float32Array
 from ..model.frames import Rig, SensorFrame
 from ..model.metrics import TruthTree, pixel_scores, true_contact
@@ -208,14 +208,9 @@ _CONNECT_S: Final = 10.0
 @contextmanager
 def cluster_workers(address: str) -> Iterator[Workers]:
     """Yield the workers of a Dask scheduler, one thread each; `TuneError` if no scheduler with a worker answers."""
+    distributed = extra("distributed", "--scheduler", "cluster")
     try:
-        import distributed
-    except ImportError as error:
-        raise MissingExtraError("--scheduler needs dask: install it with pip install 'tactune[cluster]'") from error
-    try:
-        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
-            address, timeout=_CONNECT_S, set_as_default=False
-        )
+        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
         raise TuneError(

@@ -9,7 +9,7 @@ from functools import partial
 from threading import Condition
 from typing import Final
 
-from ...errors import SourceError
+from ...errors import SourceError, closed_on_error
 from ...model.frames import Rig, SensorFrame, Shot
 from ...preset import CamerasSection
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
@@ -86,16 +86,13 @@ class CameraSource(FrameSource):
         hint = "; ".join(filter(None, [*(driver.hint() for driver in drivers), *failures, *problems]))
         chosen = choose([info for _, info in connected], cameras, hint, roles)
         try:
-            for share, (role, info) in zip((0.2, 0.6), chosen.items(), strict=False):
-                tell(share, f"opening the {info.title}")
-                driver = next(driver for driver, known in connected if known is info)
-                self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self._add)
+            with closed_on_error(self._close_feeds):
+                for share, (role, info) in zip((0.2, 0.6), chosen.items(), strict=False):
+                    tell(share, f"opening the {info.title}")
+                    driver = next(driver for driver, known in connected if known is info)
+                    self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self._add)
         except SourceError as error:
-            self._close_feeds()
             raise SourceError(f"{self.name.rstrip(':')}: {error}") from error
-        except BaseException:
-            self._close_feeds()
-            raise
         self._delay_s = cameras.tactile_delay_s
         self._pairer: Pairer[Images] = Pairer(1.0 / self.frame_rate_hz, _PATIENCE_S + abs(self._delay_s))
         tactile = self._feeds["tactile"].calibration

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from threading import Event, Lock, Thread
 from typing import Final, Literal
 
-from ...errors import SourceError, as_sentence
+from ...errors import SourceError, as_sentence, closed_on_error
 from ..base import CameraHealth, CameraOption, CameraRole
 from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Images
 
@@ -108,7 +108,7 @@ class CameraThread:
 
     def _open(self) -> Camera:
         camera = self._driver.open(self.info.serial, self.role)
-        try:
+        with closed_on_error(camera.close):
             order = [option.name for option in camera.options()]
             self._refused = []
             for name in sorted(self._wanted, key=lambda name: order.index(name) if name in order else len(order)):
@@ -117,9 +117,6 @@ class CameraThread:
                 except SourceError as error:
                     self._refused.append(as_sentence(str(error)))
             camera.start()
-        except BaseException:
-            camera.close()
-            raise
         self._revive_at_s = time.monotonic() + _WARM_UP_S + _REVIVE_S
         self._last_number = None
         self._camera = camera

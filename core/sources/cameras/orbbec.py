@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
-from ...errors import SourceError
+from ...errors import SourceError, closed_on_error
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.loading import decode_image
 from ..base import CameraOption, CameraRole
@@ -119,11 +119,8 @@ class OrbbecCamera(Camera):
             device.enable_global_timestamp(device.is_global_timestamp_supported())
         self._pipeline.start(config)
         self._is_streaming = True
-        try:
+        with closed_on_error(self.close):
             super().__init__(info, role, self._read_calibration(info), float(depth.get_fps()))
-        except BaseException:
-            self.close()
-            raise
 
     def read(self, timeout_s: float) -> Images | None:
         frames = self._pipeline.wait_for_frames(max(int(1e3 * timeout_s), 1))

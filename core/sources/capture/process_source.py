@@ -18,7 +18,7 @@ from threading import Condition, Event, Lock, Thread, current_thread
 from types import ModuleType
 from typing import Any, Final
 
-from ...errors import SourceError, TactuneError
+from ...errors import SourceError, TactuneError, closed_on_error
 from ...model.frames import Rig, SensorFrame
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
 from .child import SLOTS, Call, Ended, FrameReady, Opened, Opener, Opening, Reply, main, read_frame
@@ -68,11 +68,8 @@ class ProcessSource(FrameSource):
         self._supervisor = Supervisor(order)
         # Also called when an unclosed source is collected, and at exit before multiprocessing waits for its processes.
         self._close = Finalize(self, self._supervisor.stop, exitpriority=10)
-        try:
+        with closed_on_error(self._close):
             opened = self._supervisor.wait_until_open(progress)
-        except BaseException:
-            self._close()
-            raise
         self.name = opened.name
         self._rig = opened.rig
         self._frame_rate_hz = opened.frame_rate_hz

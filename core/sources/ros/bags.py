@@ -24,7 +24,7 @@ from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from ...errors import SourceError, foreign
+from ...errors import SourceError, closed_on_error, foreign
 from ...model.arrays import Int64Array
 from ...model.loading import read_file
 from ..base import Progress
@@ -52,7 +52,7 @@ class SqliteBag(Bag):
         uri = path.resolve().as_uri() + "?mode=ro&immutable=1"
         self._lock = Lock()
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
-        try:
+        with closed_on_error(self.close):
             if self._select("SELECT 1 FROM sqlite_master WHERE type = 'view'"):  # one can have rows without end
                 raise DamagedFileError("it computes its messages")
             topics = self._select("SELECT id, name, type FROM topics WHERE serialization_format = 'cdr' ORDER BY id")
@@ -64,9 +64,6 @@ class SqliteBag(Bag):
                     self._rows[topic] += [(int(time_ns), int(row)) for time_ns, row in rows]
             for found in self._rows.values():
                 found.sort()
-        except BaseException:
-            self.close()
-            raise
 
     def count(self, topic: str) -> int:
         return len(self._rows.get(topic, ()))
@@ -110,11 +107,8 @@ class Ros1Bag(Bag):
         except ReaderError:
             self.complete = False
             self._reader = _Unfinished(path)
-            try:
+            with closed_on_error(self.close):
                 self._reader.open()
-            except BaseException:
-                self.close()
-                raise
         self._entries: defaultdict[str, list[IndexData]] = defaultdict(list)
         for each in self._reader.connections:  # a merged bag has several of one topic
             if each.msgcount:
@@ -211,15 +205,12 @@ class SplitBag(Bag):
         super().__init__()
         self._resources = ExitStack()
         self._parts: list[Bag] = []
-        try:
+        with closed_on_error(self.close):
             for path in paths:
                 part = open_bag([self._plain(path)], progress)
                 self._resources.callback(part.close)
                 self._parts.append(part)
                 self.types |= part.types
-        except BaseException:
-            self.close()
-            raise
         self.complete = all(part.complete for part in self._parts)
 
     def is_ros1(self, topic: str) -> bool:

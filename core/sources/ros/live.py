@@ -17,7 +17,7 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
-from ...errors import SourceError, as_sentence, foreign
+from ...errors import SourceError, as_sentence, closed_on_error, foreign
 from ...model.arrays import AnyArray, Int64Array, Uint8Array
 from ...preset import CamerasSection
 from ..base import CameraRole, FrameSource, Health, Progress
@@ -163,11 +163,8 @@ def open_topics(rest: str, cameras: CamerasSection, progress: Progress) -> Frame
     name = f"ros2:{rest}"
     keep_freed_memory()
     listener = _listen(name, domain, host)
-    try:
+    with closed_on_error(listener.close):
         return Ros2Source(name, listener, find_topics(name, listener, chosen, progress), cameras, progress)
-    except BaseException:
-        listener.close()
-        raise
 
 
 def _listen(name: str, domain: int, host: str) -> Listener:

@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-from ...errors import SourceError, TactuneError
+from ...errors import SourceError, TactuneError, closed_on_error
 from ...model.arrays import Int64Array, Uint64Array
 from ..base import Progress
 from ..ros_image import damage_told
@@ -56,15 +56,11 @@ class McapBag(Bag):
         self._attachments: dict[str, tuple[int, int]] = {}  # offset and length of each record's body
         self.metadata: dict[str, dict[str, str]] = {}
         self._file = path.open("rb")
-        try:
-            with damage_told(path, "it is damaged"):
-                self._size = self._file.seek(0, 2)
-                if not MAGIC.startswith(self._read(0, min(len(MAGIC), self._size))):
-                    raise SourceError(f"{path} is no MCAP file; choose a recording")
-                self.complete = self._index()
-        except BaseException:
-            self.close()
-            raise
+        with closed_on_error(self.close), damage_told(path, "it is damaged"):
+            self._size = self._file.seek(0, 2)
+            if not MAGIC.startswith(self._read(0, min(len(MAGIC), self._size))):
+                raise SourceError(f"{path} is no MCAP file; choose a recording")
+            self.complete = self._index()
         numbers: defaultdict[str, list[int]] = defaultdict(list)
         self.kinds: dict[str, tuple[str, str]] = {}
         for number, channel in self._channels.items():
