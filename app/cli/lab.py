@@ -293,20 +293,16 @@ def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSou
 
 def _paint(words: list[str]) -> PaintSettings:
     """Turn ``NAME=VALUE`` texts such as ``hue=[150,179]`` into settings; the others keep their defaults."""
-    from pydantic import ValidationError
-
     from ...core.lab.scan import PAINT, PaintSettings
-    from ...core.model.rig_file import validation_sentence
+    from ...core.model.rig_file import validating
     from ...core.preset.preset import json_or_word
 
     values = PAINT.model_dump()
     for word in words:
         name, _, text = word.partition("=")
         values[name] = json_or_word(text)
-    try:
+    with validating("--paint", "paint", TactuneError):
         return PaintSettings.model_validate_json(json.dumps(values))
-    except ValidationError as error:
-        raise TactuneError(validation_sentence(error, "--paint", "paint")) from error
 
 
 # Speed

@@ -26,17 +26,13 @@ class _AtRest(FrameSource):
     """A source reduced to its untouched frame, which is read now, on the thread that owns the source."""
 
     def __init__(self, source: FrameSource) -> None:
-        self.name, self._rig = source.name, source.rig
+        self.name, self.rig = source.name, source.rig
         self._untouched: SensorFrame | None = None
         self._problem: SourceError | None = None
         try:
             self._untouched = source.untouched()
         except SourceError as error:
             self._problem = error
-
-    @property
-    def rig(self) -> Rig:
-        return self._rig
 
     def next_frame(self) -> SensorFrame | None:
         """Return None: the frames belong to another thread."""

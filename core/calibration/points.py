@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pydantic import ValidationError
 
 from ..errors import CalibrationError, foreign
 from ..model.alignment import PointPair
 from ..model.arrays import BoolArray, Float64Array
 from ..model.files import atomic_path
 from ..model.loading import read_file
-from ..model.rig_file import validation_sentence
+from ..model.rig_file import validating
 
 _PLACES = ("proximity_u", "proximity_v", "tactile_u", "tactile_v")
 _COLUMNS = ("id", "enabled", *_PLACES, "tactile_depth_m")
@@ -83,10 +82,8 @@ def _pair(fields: dict[str, str], where: str) -> PointPair:
     for name in _COLUMNS[:-1]:  # a tactile depth may be missing
         if name not in fields:
             raise CalibrationError(f"{where}: {name} has no value; give one")
-    try:
+    with validating(where, "a pair", CalibrationError):
         return PointPair.model_validate(fields)
-    except ValidationError as error:
-        raise CalibrationError(validation_sentence(error, where, "a pair")) from error
 
 
 def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from pydantic import ValidationError
 
 from ..errors import CalibrationError, SourceError, foreign
 from ..model.arrays import AnyArray
@@ -19,7 +18,7 @@ from ..model.clouds import valid_depth
 from ..model.frames import MAX_UNIT_M, ColorCamera, DepthCamera, Matrix4, Rig
 from ..model.intrinsics import Intrinsics
 from ..model.loading import decode_image, read_file
-from ..model.rig_file import validation_sentence
+from ..model.rig_file import validating
 from ..sources.folder import read_image, read_values
 from ..sources.folder_layout import Layout, find_frames
 from ..sources.lens_files import Lens, StatedLens, choose_lens, find_lens_files, make_lens, pose_between, read_lenses
@@ -121,10 +120,8 @@ def rig_from_folder(
         check_lens(found.lens.intrinsics, f"{draft.said(role)} camera")
         given = units.get(role) or (units.get("tactile") if len(roles) == 1 else None)
         unit_m, value = _unit(draft, role, found, given, image)
-        try:
+        with validating(str(folder), f"the {draft.said(role)} camera"):
             camera = DepthCamera(model=found.model, intrinsics=found.lens.intrinsics, depth_unit_m=unit_m)
-        except ValidationError as error:
-            raise SourceError(validation_sentence(error, str(folder), f"the {draft.said(role)} camera")) from error
         cameras[role], forms[role] = camera, found.form | value
     notes, warnings = draft.notes, draft.warnings
     if len(roles) == 1:

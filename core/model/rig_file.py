@@ -18,12 +18,14 @@ from __future__ import annotations
 
 import json
 import reprlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import SourceError, foreign
+from ..errors import SourceError, TactuneError, foreign
 from .frames import DepthCamera, Rig
 from .intrinsics import Intrinsics
 from .loading import read_json
@@ -83,13 +85,11 @@ def parse_rig(data: dict[str, Any], origin: str) -> Rig:
             lens = {name: value for name, value in flat if name in _LENS_FIELDS}
             rest = {name: value for name, value in flat if name not in (*_LENS_FIELDS, *_FOLDER_FIELDS)}
             nested[key] = {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
-    try:
+    with validating(origin, "a rig"):
         if nested.keys() == {"tactile"}:
             camera = DepthCamera.model_validate_json(json.dumps(nested["tactile"]), strict=True)
             return Rig.of_one_camera(camera)
         return Rig.model_validate_json(json.dumps(nested), strict=True)
-    except ValidationError as error:
-        raise SourceError(validation_sentence(error, origin, "a rig")) from error
 
 
 def _depth_json(camera: DepthCamera) -> dict[str, Any]:
@@ -104,11 +104,15 @@ def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:
     return data
 
 
-def validation_sentence(error: ValidationError, origin: str, what: str) -> str:
-    """Return a message about the first error, with the path of the field as in the file; ``what`` has the fields."""
-    details = error.errors(include_url=False)
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return f"{origin}: {field_sentence(details[0], what)}{more}"
+@contextmanager
+def validating(origin: str, what: str, kind: type[TactuneError] = SourceError) -> Iterator[None]:
+    """Say the first of pydantic's errors in words, with the path of the field as in the file; ``what`` has them."""
+    try:
+        yield
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+        raise kind(f"{origin}: {field_sentence(details[0], what)}{more}") from error
 
 
 def field_sentence(detail: Any, what: str) -> str:

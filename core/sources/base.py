@@ -113,30 +113,18 @@ class FrameSource(ABC):
 
     #: Name by which the source was opened, such as ``"sim:cup"`` or ``"folder:/data/scene"``.
     name: str
-
-    @property
-    @abstractmethod
-    def rig(self) -> Rig:
-        """The rig that took the frames."""
-
-    @property
-    def length(self) -> int | None:
-        """Number of frames, or None for a live source."""
-        return None
-
-    @property
-    def frame_rate_hz(self) -> float:
-        """The rate at which frames were taken, in Hz."""
-        return 30.0
+    #: The rig that took the frames.
+    rig: Rig
+    #: Number of frames, or None for a live source.
+    length: int | None = None
+    #: The rate at which frames were taken, in Hz.
+    frame_rate_hz: float = 30.0
+    #: Index of the frame that `next_frame` will return; a live source has none.
+    position: int
 
     def times_s(self) -> Float64Array | None:
         """Return when each frame of a recording was taken, seconds from the first one; None where that is unknown."""
         return None
-
-    @property
-    def position(self) -> int:
-        """Index of the frame that `next_frame` will return."""
-        raise SourceError(f"{self.name}: a live source has no position")
 
     @abstractmethod
     def next_frame(self) -> SensorFrame | None:
@@ -192,39 +180,27 @@ def from_first_s(stamps_s: Float64Array) -> Float64Array | None:
 class SeekableSource(FrameSource):
     """A source of known length that reads any frame by its index."""
 
+    length: int
+
     def __init__(self, name: str, rig: Rig, length: int) -> None:
-        self.name = name
-        self._rig = rig
-        self._length = length
-        self._position = 0
-
-    @property
-    def rig(self) -> Rig:
-        return self._rig
-
-    @property
-    def length(self) -> int:
-        return self._length
-
-    @property
-    def position(self) -> int:
-        return self._position
+        self.name, self.rig, self.length = name, rig, length
+        self.position = 0
 
     @abstractmethod
     def read(self, index: int) -> SensorFrame:
         """Return frame ``index``, 0 <= index < length."""
 
     def next_frame(self) -> SensorFrame | None:
-        if self._position >= self._length:
+        if self.position >= self.length:
             return None
-        frame = self.read(self._position)
-        self._position += 1
+        frame = self.read(self.position)
+        self.position += 1
         return frame
 
     def seek(self, index: int) -> None:
-        if not 0 <= index < self._length:
-            raise SourceError(f"{self.name}: there is no frame {index}; frames run from 0 to {self._length - 1}")
-        self._position = index
+        if not 0 <= index < self.length:
+            raise SourceError(f"{self.name}: there is no frame {index}; frames run from 0 to {self.length - 1}")
+        self.position = index
 
 
 @dataclass(frozen=True)

@@ -28,14 +28,14 @@ from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import ExportError, SourceError, writing
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
 from ..model.loading import decode_image, parse_npy, read_file
-from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validation_sentence
+from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validating
 from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write, from_first_s
 from .folder_layout import FrameFiles, find_frames, own_images
 from .lens_files import Lens, make_lens
@@ -70,10 +70,8 @@ def load_folder_rig(path: Path) -> tuple[Rig, dict[str, tuple[float, Lens]]]:
     for name in CAMERAS:
         if isinstance(camera := data.get(name), dict):
             fields = {key: camera[key] for key in Form.model_fields if key in camera}
-            try:
+            with validating(f"{path}: {name}", "a camera"):
                 stated[name] = Form.model_validate(fields)
-            except ValidationError as error:
-                raise SourceError(validation_sentence(error, f"{path}: {name}", "a camera")) from error
     rig = parse_rig(data, str(path))
     alone = stated.get("tactile", Form())
     stated.setdefault("proximity", alone)  # of a rig with a tactile camera only
@@ -192,7 +190,11 @@ class FolderSource(SeekableSource):
         self._stamps = [_read_stamp(files, index) for index, files in frames]
         if len({stamp.sequence for stamp in self._stamps}) < len(self._stamps):  # result files are named by it
             raise SourceError(f"{self._path} has two frames of the same sequence in frame.json; correct it")
+        self._times_s = np.array([stamp.proximity_time_s for stamp in self._stamps])
         super().__init__(name, rig, len(self._stamps))
+        median_s = float(np.median(np.diff(self._times_s))) if len(self._times_s) > 1 else 0.0
+        if median_s > 0:
+            self.frame_rate_hz = 1.0 / median_s
         first = self._layout.frames[0].images
         color, shape = first.get("proximity_color"), rig.proximity_color_shape
         if not rig.has_proximity:
@@ -201,15 +203,8 @@ class FolderSource(SeekableSource):
         self._shows_color = color is not None and read_image(color).shape[:2] == shape
         self.read(0)
 
-    @property
-    def frame_rate_hz(self) -> float:
-        """Rate from the median interval of the time stamps; 30 Hz where they have none."""
-        gaps = np.diff([stamp.proximity_time_s for stamp in self._stamps])
-        median = float(np.median(gaps)) if len(gaps) else 0.0
-        return 1.0 / median if median > 0 else super().frame_rate_hz
-
     def times_s(self) -> Float64Array | None:
-        return from_first_s(np.array([stamp.proximity_time_s for stamp in self._stamps]))
+        return from_first_s(self._times_s)
 
     def read(self, index: int) -> SensorFrame:
         return self._frame(self._layout.frames[index], self._stamps[index])
@@ -224,14 +219,14 @@ class FolderSource(SeekableSource):
     def health(self) -> Health:
         lacks = []
         if not self._shows_color:
-            camera = "proximity " if self._rig.has_proximity else ""
+            camera = "proximity " if self.rig.has_proximity else ""
             lacks.append(f"this folder has no {camera}colour of the size that rig.json says: its image stays black")
         if self._layout.unmatched:
             lacks.append(f"{self._layout.unmatched} images without one of the other camera are left out")
         return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._layout.unmatched)
 
     def _frame(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
-        rig, images, where = self._rig, files.images, files.folder or self._path
+        rig, images, where = self.rig, files.images, files.folder or self._path
         if not rig.has_proximity:  # the only camera, whatever its files are called
             images = {slot.replace("proximity", "tactile"): path for slot, path in images.items()}
         if not self._shows_color:
@@ -279,10 +274,8 @@ def _read_stamp(files: FrameFiles, index: int) -> _Stamp:
     path = None if files.folder is None else files.folder / "frame.json"
     if path is None or not path.exists():
         return _Stamp(sequence=index, proximity_time_s=files.proximity_time_s, tactile_time_s=files.tactile_time_s)
-    try:
+    with validating(str(path), "a frame"):
         return _Stamp.model_validate(read_json_object(path))
-    except ValidationError as error:
-        raise SourceError(validation_sentence(error, str(path), "a frame")) from error
 
 
 def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 
 from ..errors import SourceError
-from ..model.frames import Rig, SensorFrame
+from ..model.frames import SensorFrame
 from .base import FrameSource, Health
 
 
@@ -23,6 +23,7 @@ class PlayAsLive(FrameSource):
         if source.length == 0:
             raise SourceError(f"live:{source.name}: there are no frames to play; choose another recording")
         self.name = f"live:{source.name}"
+        self.rig, self.frame_rate_hz = source.rig, source.frame_rate_hz
         self._source = source
         self._length = source.length
         self._period_s = 1.0 / source.frame_rate_hz
@@ -30,14 +31,6 @@ class PlayAsLive(FrameSource):
         self._count = 0
         self._dropped = 0
         self._next: SensorFrame | None = None
-
-    @property
-    def rig(self) -> Rig:
-        return self._source.rig
-
-    @property
-    def frame_rate_hz(self) -> float:
-        return self._source.frame_rate_hz
 
     def next_frame(self) -> SensorFrame:
         frame = self._prepare()

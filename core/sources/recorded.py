@@ -82,6 +82,7 @@ class RecordedSource(SeekableSource):
             if first.color is None:
                 self._lacks.append("this recording has no proximity colour: its image stays black")
         super().__init__(name, rig, len(self._first))
+        self.frame_rate_hz = first.rate_hz or self.frame_rate_hz
 
     def _pair(self, name: str, first: RecordedCamera, second: RecordedCamera) -> None:
         farthest_s = min(period_s(each.times_s, each.rate_hz) for each in (first, second)) / 2
@@ -95,10 +96,6 @@ class RecordedSource(SeekableSource):
                 f"{apart_s:.3g} s apart; choose recordings of the same time, or shift one's stamps if only the clocks "
                 "differ"
             )
-
-    @property
-    def frame_rate_hz(self) -> float:
-        return self._cameras[0].rate_hz or super().frame_rate_hz
 
     def times_s(self) -> Float64Array | None:
         return from_first_s(self._cameras[0].times_s[self._first])
@@ -118,11 +115,11 @@ class RecordedSource(SeekableSource):
             raise SourceError(f"{self.name} is closed; open it again")
         proximity, tactile = self._cameras[0], self._cameras[-1]
         first, second = int(self._first[index]), int(self._second[index])
-        if not self._rig.has_proximity:
+        if not self.rig.has_proximity:
             return self._frame(index, None, tactile.shot(second, on_depth=True))
         waiting = self._helper.submit(tactile.shot, second, on_depth=True)
         shot = proximity.shot(first, on_depth=False)
         return self._frame(index, shot, waiting.result())
 
     def _frame(self, index: int, proximity: Shot | None, tactile: Shot) -> SensorFrame:
-        return SensorFrame.of_shots(self._rig, index, proximity, tactile)
+        return SensorFrame.of_shots(self.rig, index, proximity, tactile)

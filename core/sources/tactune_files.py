@@ -109,7 +109,7 @@ class McapSource(RecordedSource):
 
     def _frame(self, index: int, proximity: Shot | None, tactile: Shot) -> SensorFrame:
         """Return a frame with what is recorded beside its images: its number, its times and the truth."""
-        rig, sequence, truth = self._rig, index, None
+        rig, sequence, truth = self.rig, index, None
         number, *of_truth = (int(numbers[self._first[index]]) for numbers in self._beside)
         if number >= 0:
             sequence, time_s, tactile_time_s = self._frame_record(number)

@@ -132,7 +132,7 @@ class FakeSource(FrameSource):
 
     @property
     def position(self) -> int:
-        return super().position if self._live else self._position
+        return self._position
 
     def wait(self, timeout_s: float) -> bool:
         if not self._live or self._hangs:

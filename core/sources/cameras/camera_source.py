@@ -93,25 +93,18 @@ class CameraSource(FrameSource):
                     self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self._add)
         except SourceError as error:
             raise SourceError(f"{self.name.rstrip(':')}: {error}") from error
+        self.frame_rate_hz = next(iter(self._feeds.values())).rate_hz
         self._delay_s = cameras.tactile_delay_s
         self._pairer: Pairer[Images] = Pairer(1.0 / self.frame_rate_hz, _PATIENCE_S + abs(self._delay_s))
         tactile = self._feeds["tactile"].calibration
-        self._rig = Rig.of_one_camera(tactile.depth)
+        #: As the cameras report it, without the pose between them: that comes from a calibration.
+        self.rig = Rig.of_one_camera(tactile.depth)
         if "proximity" in self._feeds:
             proximity = self._feeds["proximity"].calibration
-            self._rig = Rig(proximity=proximity.depth, tactile=tactile.depth, proximity_color=proximity.color_camera)
+            self.rig = Rig(proximity=proximity.depth, tactile=tactile.depth, proximity_color=proximity.color_camera)
         self._last_frame_s = time.monotonic()
         for feed in self._feeds.values():
             feed.start()
-
-    @property
-    def rig(self) -> Rig:
-        """The rig as the cameras report it, without the pose between them: that comes from a calibration."""
-        return self._rig
-
-    @property
-    def frame_rate_hz(self) -> float:
-        return next(iter(self._feeds.values())).rate_hz
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a pair of images, at most ``timeout_s``; `SourceError` if a driver hangs."""
@@ -133,9 +126,9 @@ class CameraSource(FrameSource):
         depth, color = second.item.depth, second.item.color
         if color is not None:
             color = self._feeds["tactile"].calibration.color_on_depth(color, depth)
-        proximity = Shot(first.item.depth, first.item.color, first.time_s) if self._rig.has_proximity else None
+        proximity = Shot(first.item.depth, first.item.color, first.time_s) if self.rig.has_proximity else None
         self._sequence += 1
-        return SensorFrame.of_shots(self._rig, self._sequence - 1, proximity, Shot(depth, color, second.time_s))
+        return SensorFrame.of_shots(self.rig, self._sequence - 1, proximity, Shot(depth, color, second.time_s))
 
     def options(self) -> tuple[CameraOption, ...]:
         return tuple(option for feed in self._feeds.values() for option in feed.options())
@@ -172,7 +165,7 @@ class CameraSource(FrameSource):
 
     def _add(self, role: CameraRole, images: Images, arrival_s: float) -> None:
         with self._changed:
-            if not self._rig.has_proximity:
+            if not self.rig.has_proximity:
                 alone = Timed(images.time_s, arrival_s, images)
                 self._ready.append((alone, alone))
             else:

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any, Final
 
 from ...errors import SourceError, TactuneError, closed_on_error
-from ...model.frames import Rig, SensorFrame
+from ...model.frames import SensorFrame
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
 from .child import SLOTS, Call, Ended, FrameReady, Opened, Opener, Opening, Reply, main, read_frame
 
@@ -70,17 +70,7 @@ class ProcessSource(FrameSource):
         self._close = Finalize(self, self._supervisor.stop, exitpriority=10)
         with closed_on_error(self._close):
             opened = self._supervisor.wait_until_open(progress)
-        self.name = opened.name
-        self._rig = opened.rig
-        self._frame_rate_hz = opened.frame_rate_hz
-
-    @property
-    def rig(self) -> Rig:
-        return self._rig
-
-    @property
-    def frame_rate_hz(self) -> float:
-        return self._frame_rate_hz
+        self.name, self.rig, self.frame_rate_hz = opened.name, opened.rig, opened.frame_rate_hz
 
     def next_frame(self) -> SensorFrame | None:
         """Return the next frame, or None at the end; block until there is one. `TactuneError` if it cannot continue."""

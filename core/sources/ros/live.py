@@ -207,7 +207,7 @@ class Ros2Source(CameraSource):
         roles = tuple(found.rig.cameras)
         super().__init__([driver], cameras.model_copy(update=chosen), progress, name=name, roles=roles)
         if found.rig.pose is not None:  # a rig of one camera has a pose already
-            self._rig = self._rig.model_copy(update={"T_proximity_tactile": found.rig.pose})
+            self.rig = self.rig.model_copy(update={"T_proximity_tactile": found.rig.pose})
 
     def health(self) -> Health:
         health = super().health()
