@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import CalibrationError
 from ..model.arrays import Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
-from ..model.frames import SensorFrame
+from ..model.frames import IMAGES, SensorFrame
 
 #: Depths that differ from the click's by more than this belong to another surface, metres.
 _SAME_SURFACE_M = 0.004
@@ -74,7 +74,7 @@ def _median_color(stack: Uint8Array) -> Uint8Array:
 def content_hash(frame: SensorFrame) -> str:
     """Return the SHA-256 of a frame's images including their shapes and types."""
     digest = hashlib.sha256()
-    for name in ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color"):
+    for name in IMAGES:
         image = getattr(frame, name)
         digest.update(f"{name} {None if image is None else (image.shape, image.dtype.str)}\n".encode())
         if image is not None:

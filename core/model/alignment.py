@@ -7,9 +7,10 @@ from math import isnan
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from .frames import CameraPose
+from .intrinsics import Frozen
 from .sections import Section, described, stored
 
 Row3 = tuple[float, float, float]
@@ -27,11 +28,7 @@ Side = Literal["proximity", "tactile"]
 Place = tuple[float, float]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class PointPair(_Record):
+class PointPair(Frozen):
     """One place on the membrane or on a pressed object, clicked in both cameras' images.
 
     ``proximity_image`` names the image whose pixels the proximity side is given in; points in colour lie on the
@@ -77,7 +74,7 @@ class PointPair(_Record):
         return self.proximity if side == "proximity" else self.tactile
 
 
-class SnapshotRecord(_Record):
+class SnapshotRecord(Frozen):
     """The images that were clicked on, by the hash of their content."""
 
     name: _Text = ""
@@ -85,7 +82,7 @@ class SnapshotRecord(_Record):
     frames: Annotated[int, Field(ge=1)] = 1
 
 
-class ModelSummary(_Record):
+class ModelSummary(Frozen):
     """The quality of the fit at the time; pixels are proximity pixels."""
 
     rms_px: _NonNegative | None = None
@@ -97,7 +94,7 @@ class ModelSummary(_Record):
     excluded: tuple[str, ...] = ()
 
 
-class CalibrationRecord(_Record):
+class CalibrationRecord(Frozen):
     """A calibration: its date, cameras, clicks and quality."""
 
     date: datetime

@@ -12,11 +12,11 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from ..errors import FrameError
 from .arrays import AnyArray, BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
-from .intrinsics import Intrinsics
+from .intrinsics import Frozen, Intrinsics
 
 #: Raw counts that mean *no depth*; a D405 stream really contains 65535.
 NO_DEPTH_COUNTS = (0, 65535)
@@ -78,11 +78,7 @@ def camera_pose(matrix: Any) -> Matrix4:
 CameraPose = Annotated[Matrix4, BeforeValidator(camera_pose)]
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class DepthCamera(_Frozen):
+class DepthCamera(Frozen):
     """One depth camera: its identity, its lens, and the length of one raw count in metres."""
 
     model: str = "unknown"
@@ -91,7 +87,7 @@ class DepthCamera(_Frozen):
     depth_unit_m: Annotated[float, Field(ge=1e-7, le=MAX_UNIT_M)]
 
 
-class ColorCamera(_Frozen):
+class ColorCamera(Frozen):
     """A colour camera beside a depth camera; ``T_color_depth`` transforms points from the depth frame to its frame."""
 
     intrinsics: Intrinsics
@@ -102,7 +98,7 @@ class ColorCamera(_Frozen):
 NO_CAMERA: Final = "none"
 
 
-class Rig(_Frozen):
+class Rig(Frozen):
     """Both depth cameras of one sensor and their relative pose, if known; or a tactile camera only: `of_one_camera`.
 
     Without a colour camera, ``proximity_color`` None, the proximity colour image is aligned to the depth image already.
@@ -191,6 +187,10 @@ class Shot(NamedTuple):
     time_s: float
 
 
+#: The images of a frame.
+IMAGES: Final = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
+
+
 @dataclass(frozen=True, eq=False)
 class SensorFrame:
     """One pair of images from both cameras. The arrays become read-only views.
@@ -226,18 +226,16 @@ class SensorFrame:
             if not abs(getattr(self, name)) <= MAX_TIME_S:  # also nan
                 found = getattr(self, name)
                 raise FrameError(f"frame {self.sequence}: {name} is {found}, not a number up to {MAX_TIME_S} s")
-        for name, dtype, dimensions in _FRAME_ARRAYS:
+        for name in IMAGES:
             array = getattr(self, name)
             if array is None and name == "tactile_color":
                 continue
-            if not isinstance(array, np.ndarray) or array.dtype != dtype or array.ndim != dimensions:
+            is_color = name.endswith("color")
+            dtype, dimensions, shape = (np.uint8, 3, "(H, W, 3)") if is_color else (np.uint16, 2, "(H, W)")
+            fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == dimensions
+            if not fits or (is_color and array.shape[2] != 3):
                 found = f"{array.dtype}, {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-                raise FrameError(
-                    f"frame {self.sequence}: {name} must be a {np.dtype(dtype).name} array with "
-                    f"{dimensions} dimensions, got {found}"
-                )
-            if dimensions == 3 and array.shape[2] != 3:
-                raise FrameError(f"frame {self.sequence}: {name} must have 3 channels (RGB), got {array.shape[2]}")
+                raise FrameError(f"frame {self.sequence}: {name} must be {dtype.__name__}, {shape}, got {found}")
             view = np.ascontiguousarray(array).view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
@@ -283,11 +281,3 @@ class SensorFrame:
                     f"frame {self.sequence}: {name} is {found[1]} x {found[0]} pixels, "
                     f"the rig says {shape[1]} x {shape[0]}; use the rig of the camera that took it"
                 )
-
-
-_FRAME_ARRAYS = (
-    ("proximity_depth", np.dtype("=u2"), 2),
-    ("tactile_depth", np.dtype("=u2"), 2),
-    ("proximity_color", np.dtype(np.uint8), 3),
-    ("tactile_color", np.dtype(np.uint8), 3),
-)

@@ -31,10 +31,14 @@ class Distortion(StrEnum):
     INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
 
 
-class Intrinsics(BaseModel):
-    """Image size, focal lengths and principal point in pixels, and librealsense's k1, k2, p1, p2, k3."""
+class Frozen(BaseModel):
+    """A model without other fields, whose values never change and are finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Intrinsics(Frozen):
+    """Image size, focal lengths and principal point in pixels, and librealsense's k1, k2, p1, p2, k3."""
 
     width: _PixelCount
     height: _PixelCount

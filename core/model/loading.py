@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import FrameError, foreign
 from .arrays import AnyArray
-from .frames import GroundTruth, SensorFrame
+from .frames import IMAGES, GroundTruth, SensorFrame
 
 #: Size limit of a JSON file. Decoded, JSON takes up to 25 times its size in memory.
 MAX_JSON_BYTES: Final = 12_000_000
@@ -60,12 +60,8 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError(f"it has {len(text) / 1e6:.1f} MB, more than the {MAX_JSON_BYTES / 1e6:.1f} MB that are read")
     try:
         return json.loads(text, object_pairs_hook=_unique)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"not valid JSON (line {error.lineno}, column {error.colno}: {error.msg})") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"not valid JSON (byte {error.start} is no UTF-8)") from error
-    except RecursionError as error:
-        raise ValueError("not valid JSON (it is nested too deep)") from error
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"not valid JSON ({error})") from error
 
 
 def read_json(path: Path | str) -> Any:
@@ -149,12 +145,9 @@ def _pillow_pixels(data: bytes) -> AnyArray:
         raise ValueError(str(error) if sized else "it is no image, or damaged") from error
 
 
-_ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
-
-
 def frame_bytes(frame: SensorFrame) -> bytes:
     """Return a frame as an ``.npz``; `frame_from_bytes` reads it and ignores other names."""
-    arrays = {name: getattr(frame, name) for name in _ARRAYS} | frame.numbers()
+    arrays = {name: getattr(frame, name) for name in IMAGES} | frame.numbers()
     if frame.truth is not None:
         arrays |= {"truth_contact": frame.truth.contact, "truth_depth_m": frame.truth.depth_m}
     buffer = io.BytesIO()
@@ -169,16 +162,9 @@ def frame_from_bytes(data: bytes) -> SensorFrame:
         truth = None
         if "truth_contact" in arrays:
             truth = GroundTruth(arrays["truth_contact"], arrays.get("truth_depth_m"))
-        return SensorFrame(
-            sequence=int(arrays["sequence"]),
-            proximity_depth=arrays["proximity_depth"],
-            tactile_depth=arrays["tactile_depth"],
-            proximity_color=arrays["proximity_color"],
-            tactile_color=arrays.get("tactile_color"),
-            proximity_time_s=float(arrays["proximity_time_s"]),
-            tactile_time_s=float(arrays["tactile_time_s"]),
-            truth=truth,
-        )
+        values: dict[str, Any] = {name: arrays[name] for name in IMAGES if name in arrays or name != "tactile_color"}
+        values |= {name: float(arrays[name]) for name in ("proximity_time_s", "tactile_time_s")}
+        return SensorFrame(int(arrays["sequence"]), **values, truth=truth)
     except KeyError as error:
         raise FrameError(f"it has no array {error.args[0]}") from error
     except (ValueError, TypeError, OverflowError) as error:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
+
+from .intrinsics import Frozen
 
 _Hue = Annotated[int, Field(ge=0, le=179)]
 _Byte = Annotated[int, Field(ge=0, le=255)]
@@ -28,10 +30,8 @@ def stored(title: str, description: str, **options: Any) -> Any:
     return described(title, description, hidden=True, **options)
 
 
-class Section(BaseModel):
-    """A frozen, strict part of a preset."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class Section(Frozen):
+    """A part of a preset."""
 
 
 class MaskSection(Section):

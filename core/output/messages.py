@@ -124,14 +124,14 @@ def image_head(frame_id: str, encoding: str, shape: tuple[int, int], pixel_bytes
     """Return a serialised image up to its pixels, which follow unchanged."""
     height, width = shape
     row_bytes = width * pixel_bytes
-    empty = _type(IMAGE)(_header(frame_id), height, width, encoding, 0, row_bytes, np.empty(0, np.uint8))
-    return _serialise(empty, IMAGE)[:-4] + struct.pack("<I", height * row_bytes)
+    empty = _message(IMAGE, _header(frame_id), height, width, encoding, 0, row_bytes, np.empty(0, np.uint8))
+    return empty[:-4] + struct.pack("<I", height * row_bytes)
 
 
 def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
     k = lens.camera_matrix()
-    region = _type("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False)
-    message = _type(CAMERA_INFO)(
+    return _message(
+        CAMERA_INFO,
         header=_header(frame_id),
         height=lens.height,
         width=lens.width,
@@ -142,9 +142,8 @@ def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
         p=np.hstack([k, np.zeros((3, 1))]).ravel(),
         binning_x=0,
         binning_y=0,
-        roi=region,
+        roi=_type("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False),
     )
-    return _serialise(message, CAMERA_INFO)
 
 
 def static_transforms(rig: Rig, stamp_ns: int, T_proximity_tactile: Float64Array | None = None) -> bytes:
@@ -164,15 +163,11 @@ def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
     header = _header(PROXIMITY_FRAME, stamp_ns)
     stamped_pose = _type("geometry_msgs/msg/TransformStamped")
     translation, transform = _type("geometry_msgs/msg/Vector3"), _type("geometry_msgs/msg/Transform")
-    return _serialise(
-        _type(TRANSFORMS)(
-            [
-                stamped_pose(header, child, transform(translation(*pose[:3, 3].tolist()), _quaternion(pose)))
-                for child, pose in poses.items()
-            ]
-        ),
-        TRANSFORMS,
-    )
+    found = [
+        stamped_pose(header, child, transform(translation(*pose[:3, 3].tolist()), _quaternion(pose)))
+        for child, pose in poses.items()
+    ]
+    return _message(TRANSFORMS, found)
 
 
 def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> dict[str, bytes]:
@@ -184,52 +179,48 @@ def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> d
     body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
     known = _type("geometry_msgs/msg/PoseWithCovariance")(body, np.asarray(covariance, np.float64).ravel())
     return {
-        Topic.OBJECT_POSE: _serialise(_type(POSE)(_header(PROXIMITY_FRAME, stamp_ns), known), POSE),
+        Topic.OBJECT_POSE: _message(POSE, _header(PROXIMITY_FRAME, stamp_ns), known),
         Topic.TRANSFORMS: transforms({OBJECT_FRAME: pose}, stamp_ns),
     }
 
 
 def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
     """Return three numbers about the axes of the proximity depth frame."""
-    return _serialise(
-        _type(VECTOR)(_header(PROXIMITY_FRAME, stamp_ns), _type("geometry_msgs/msg/Vector3")(x, y, z)), VECTOR
-    )
+    return _message(VECTOR, _header(PROXIMITY_FRAME, stamp_ns), _type("geometry_msgs/msg/Vector3")(x, y, z))
 
 
 def wrench(force_n: tuple[float, float, float], place_m: Float64Array, stamp_ns: int) -> bytes:
     """Return a force that acts at a place, and its torque about the origin of the proximity depth frame, N m."""
     of = _type("geometry_msgs/msg/Vector3")
     both = _type("geometry_msgs/msg/Wrench")(of(*force_n), of(*np.cross(place_m, force_n).tolist()))
-    return _serialise(_type(WRENCH)(_header(PROXIMITY_FRAME, stamp_ns), both), WRENCH)
+    return _message(WRENCH, _header(PROXIMITY_FRAME, stamp_ns), both)
 
 
 def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
     """Return an arrow between two places (2, 3) of the proximity depth frame, or the removal of the last one."""
     kind, at, nothing = _type(MARKER), _type("geometry_msgs/msg/Point"), np.empty(0, np.uint8)
     pose = _type("geometry_msgs/msg/Pose")(at(0.0, 0.0, 0.0), _quaternion(np.eye(4)))
-    return _serialise(
-        kind(
-            _header(PROXIMITY_FRAME, stamp_ns),
-            "force",
-            0,
-            kind.ARROW,
-            kind.DELETE if ends_m is None else kind.ADD,
-            pose,
-            _type("geometry_msgs/msg/Vector3")(*_ARROW_M),
-            _type("std_msgs/msg/ColorRGBA")(*_ARROW_RGBA),
-            _type("builtin_interfaces/msg/Duration")(0, 0),
-            False,
-            [] if ends_m is None else [at(*place) for place in ends_m.tolist()],
-            [],
-            "",
-            _type("sensor_msgs/msg/CompressedImage")(_header(PROXIMITY_FRAME, stamp_ns), "", nothing),
-            [],
-            "",
-            "",
-            _type("visualization_msgs/msg/MeshFile")("", nothing),
-            False,
-        ),
+    return _message(
         MARKER,
+        _header(PROXIMITY_FRAME, stamp_ns),
+        "force",
+        0,
+        kind.ARROW,
+        kind.DELETE if ends_m is None else kind.ADD,
+        pose,
+        _type("geometry_msgs/msg/Vector3")(*_ARROW_M),
+        _type("std_msgs/msg/ColorRGBA")(*_ARROW_RGBA),
+        _type("builtin_interfaces/msg/Duration")(0, 0),
+        False,
+        [] if ends_m is None else [at(*place) for place in ends_m.tolist()],
+        [],
+        "",
+        _type("sensor_msgs/msg/CompressedImage")(_header(PROXIMITY_FRAME, stamp_ns), "", nothing),
+        [],
+        "",
+        "",
+        _type("visualization_msgs/msg/MeshFile")("", nothing),
+        False,
     )
 
 
@@ -273,18 +264,18 @@ def patch_parts(patch: ContactPatch, stamp_ns: int) -> dict[str, bytes]:
 
 
 def number(value: float) -> bytes:
-    return _serialise(_type(NUMBER)(float(value)), NUMBER)
+    return _message(NUMBER, float(value))
 
 
 def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int) -> bytes:
     status, pair = _type("diagnostic_msgs/msg/DiagnosticStatus"), _type("diagnostic_msgs/msg/KeyValue")
     pairs = [pair(key, value) for key, value in values.items()]
     entry = status(level=status.OK, name=name, message="", hardware_id="", values=pairs)
-    return _serialise(_type(DIAGNOSTICS)(_header("", stamp_ns), [entry]), DIAGNOSTICS)
+    return _message(DIAGNOSTICS, _header("", stamp_ns), [entry])
 
 
 def text(value: str) -> bytes:
-    return _serialise(_type(TEXT)(value), TEXT)
+    return _message(TEXT, value)
 
 
 def frame_text(frame: SensorFrame) -> bytes:
@@ -303,7 +294,8 @@ def point_cloud(
     names, is_dense = ("x", "y", "z", *values), points.ndim == 2
     points = np.column_stack([points, *values.values()]) if values else points
     field = _type("sensor_msgs/msg/PointField")
-    message = _type(POINT_CLOUD)(
+    frame = _message(  # it ends with the length of the data and is_dense
+        POINT_CLOUD,
         header=_header(frame_id, stamp_ns),
         height=height,
         width=width,
@@ -314,7 +306,6 @@ def point_cloud(
         data=np.empty(0, np.uint8),
         is_dense=is_dense,
     )
-    frame = _serialise(message, POINT_CLOUD)  # ends with the length of the data and is_dense
     data = np.ascontiguousarray(points, "<f4").reshape(-1).view(np.uint8)
     return b"".join((frame[:-5], struct.pack("<I", data.size), data.data, frame[-1:]))
 
@@ -378,8 +369,9 @@ def _header(frame_id: str, stamp_ns: int = 0) -> Any:
     return _type("std_msgs/msg/Header")(_type("builtin_interfaces/msg/Time")(*divmod(stamp_ns, 10**9)), frame_id)
 
 
-def _serialise(message: Any, message_type: str) -> bytes:
-    return bytes(TYPES.serialize_cdr(message, message_type))
+def _message(kind: str, *fields: Any, **named: Any) -> bytes:
+    """Return a whole message, serialised."""
+    return bytes(TYPES.serialize_cdr(_type(kind)(*fields, **named), kind))
 
 
 def _type(name: str) -> Any:

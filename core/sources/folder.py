@@ -28,12 +28,13 @@ from typing import Annotated, Any, Final
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..errors import ExportError, SourceError, writing
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
+from ..model.intrinsics import Frozen
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validating
 from .base import FrameSource, Health, Progress, SeekableSource, frames_to_write, from_first_s
@@ -42,22 +43,17 @@ from .lens_files import Lens, make_lens
 from .ros_image import damage_told
 
 CAMERAS: Final = ("proximity", "tactile", "proximity_color")
-_STRICT: Final = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
-class Rectify(BaseModel):
+class Rectify(Frozen, strict=True):
     """A lens model beyond Brown-Conrady, as `make_lens` takes it."""
-
-    model_config = _STRICT
 
     model: str
     coefficients: Annotated[list[float], Field(max_length=14)]
 
 
-class Form(BaseModel):
+class Form(Frozen, strict=True):
     """What `Rig` does not say about the images of one camera of a folder."""
-
-    model_config = _STRICT
 
     rectify: Rectify | None = None
     value_m: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
@@ -165,13 +161,11 @@ def check_size(path: Path, image: AnyArray, shape: tuple[int, int]) -> AnyArray:
     return image
 
 
-_Seconds = Annotated[float, Field(ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)]
+_Seconds = Annotated[float, Field(ge=-MAX_TIME_S, le=MAX_TIME_S)]
 
 
-class _Stamp(BaseModel):
+class _Stamp(Frozen, strict=True):
     """The contents of ``frame.json``."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
     sequence: Annotated[int, Field(ge=0, lt=2**63)]
     proximity_time_s: _Seconds

@@ -20,7 +20,6 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-from pydantic import ValidationError
 from ruamel.yaml import YAML
 
 from ..errors import SourceError, foreign
@@ -28,6 +27,7 @@ from ..model.arrays import AnyArray, Float32Array, Float64Array
 from ..model.frames import Matrix4, camera_pose
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.loading import parse_json, read_file
+from ..model.rig_file import validating
 from .ros_image import damage_told
 
 #: Names of lens models, as ROS, image_pipeline, Kalibr, OpenCV and camera makers write them.
@@ -108,11 +108,8 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
 
 
 def _intrinsics(values: dict[str, Any]) -> Intrinsics:
-    try:
+    with validating("its lens cannot be used", "a lens"):
         return Intrinsics(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise SourceError(f"its lens cannot be used: {first['loc'][0]} is {float(first['input']):g}") from error
 
 
 def camera_info_lens(message: Any, size: tuple[int, int] | None = None, *, is_rectified: bool = False) -> Lens | None:
@@ -313,9 +310,7 @@ def _lower(fields: _Fields) -> dict[str, Any]:
 def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
     """Return the lens of one camera; None if the fields have none."""
     fields = _lower(given)
-    matrix = next((_flat(fields[key]) for key in _MATRIX if key in fields), None)
-    if "fx" in fields:
-        matrix = tuple(float(fields[key]) for key in ("fx", "fy", "cx", "cy"))
+    matrix = fields if "fx" in fields else next((fields[key] for key in _MATRIX if key in fields), None)
     if matrix is None:
         return None
     family = str(fields.get("camera_model", "pinhole"))  # Kalibr's; others than pinhole give the numbers other meanings
@@ -328,7 +323,7 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
     model = str(fields.get("distortion_model") or fields.get("distortion") or ("fisheye" if fisheye else "opencv"))
     scale = fields.get("depth_scale") if "cam_k" in fields else None  # BOP's is in mm; others mean other things by it
     label = f"{name} {fields.get('rostopic', '')}".strip().lower()
-    whole, size = _whole_matrix(matrix), _size(fields)
+    whole, size = _whole_matrix(_flat(matrix)), _size(fields)
     cut = _cut(whole, size or (0, 0), fields.get("roi") or {}, fields.get("binning_x"), fields.get("binning_y"))
     turned = fields.get("t_cn_cnm1")
     try:

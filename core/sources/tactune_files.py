@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -25,17 +25,7 @@ from .cameras.camera import Calibration
 from .cameras.pairing import nearest_within, period_s
 from .recorded import RecordedCamera, RecordedSource
 from .ros.mcap import McapBag
-from .ros.messages import (
-    FORMAT_VERSION,
-    IMAGE,
-    METADATA_NAME,
-    PRESET_NAME,
-    RIG_NAME,
-    TEXT,
-    TYPES,
-    UNTOUCHED_NAME,
-    Topic,
-)
+from .ros.messages import FORMAT_VERSION, METADATA_NAME, PRESET_NAME, RIG_NAME, UNTOUCHED_NAME, Topic
 from .ros_image import RawImage, damage_told
 
 #: How the images of each topic are read, from a message and the shape (H, W) that the rig states.
@@ -167,35 +157,28 @@ class McapSource(RecordedSource):
 
     def _rate_hz(self, times_s: Float64Array) -> float:
         """Return the rate in the recording's metadata, or else that of its times; 0 for a single frame."""
-        try:
-            named_hz = float(self._about["frame_rate_hz"])
-        except (KeyError, ValueError):
-            named_hz = 0.0
-        if 0.0 < named_hz < math.inf:
-            return named_hz
+        with suppress(KeyError, ValueError):
+            if 0.0 < (named_hz := float(self._about["frame_rate_hz"])) < math.inf:
+                return named_hz
         return 1 / period_s(times_s) if len(times_s) > 1 else 0.0
 
     def _read_rig(self) -> Rig:
         data = self._bag.attachment(RIG_NAME)
-        if data is None and self._bag.count(Topic.RIG):
-            data = self._parse(Topic.RIG, 0, TEXT).data.encode()
-        if data is None:
-            told = "write its images to a folder and describe the cameras with tactune preset create-rig"
-            raise SourceError(f"{self._path} has no {RIG_NAME} and no {Topic.RIG}: {told}")
         with damage_told(self._path, f"{RIG_NAME} is no JSON object"):
+            if data is None and self._bag.count(Topic.RIG):
+                data = self._bag.message(Topic.RIG, 0).data
+            if data is None:
+                told = "write its images to a folder and describe the cameras with tactune preset create-rig"
+                raise SourceError(f"{self._path} has no {RIG_NAME} and no {Topic.RIG}: {told}")
             return parse_rig(dict(parse_json(data)), f"{RIG_NAME} in {self._path}")
 
     def _frame_record(self, number: int) -> tuple[int, float, float]:
         with damage_told(self._path, f"a message of {Topic.FRAME} is damaged"):
-            data = parse_json(self._parse(Topic.FRAME, number, TEXT).data)
+            data = parse_json(self._bag.message(Topic.FRAME, number).data)
             return int(data["sequence"]), float(data["proximity_time_s"]), float(data["tactile_time_s"])
 
     def _image(self, topic: Topic, shape: tuple[int, int], number: int) -> AnyArray:
-        return _IMAGES[topic](RawImage.of(self._parse(topic, number, IMAGE)), shape)
-
-    def _parse(self, topic: Topic, number: int, message_type: str) -> Any:
-        with damage_told(self._path, f"it has a message that is no {message_type}"):
-            return TYPES.deserialize_cdr(self._bag.raw(topic, number), message_type)
+        return _IMAGES[topic](RawImage.of(self._bag.message(topic, number)), shape)
 
 
 def is_ours(text: str) -> bool:
