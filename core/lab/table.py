@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
@@ -63,13 +63,13 @@ MIN_TOUCHED_MM2: Final = 200.0
 
 @dataclass(frozen=True)
 class Scene:
-    """A simulated press. Presses with ``press="high"`` are off-centre: at ``side`` left and right."""
+    """A simulated press. Presses with ``press="high"`` are off-centre: at ``side`` left and right, else empty."""
 
+    sensor: str
+    membrane: str
     object: str
     press: str
-    side: str = ""
-    sensor: str = DEFAULT_SENSOR
-    membrane: str = "standard"
+    side: str
 
     def source(self, seed: int) -> str:
         side = f"&side={self.side}" if self.side else ""
@@ -77,14 +77,9 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Cell:
+class Cell(Scene):
     """One method on one press: symmetric RMSE to the true contact, IoU of the pixels, and why there is no patch."""
 
-    sensor: str
-    membrane: str
-    object: str
-    press: str
-    side: str
     seed: int
     method: str
     rmse_mm: float | None = None
@@ -142,7 +137,7 @@ def plan_table(
         )
     ]
     scenes = [
-        Scene(thing, press, side, sensor, membrane)
+        Scene(sensor, membrane, thing, press, side)
         for membrane, thing, press, sensor in itertools.product(*found)
         for side in (("right", "left") if press == "high" else ("",))
     ]
@@ -248,7 +243,7 @@ def score(plan: Plan, scene: Scene, seed: int, source: FrameSource, rig: _Rig) -
         except TactuneError as error:
             failures[name] = str(error)
     tree = TruthTree(truth, _SAMPLES)
-    base = Cell(scene.sensor, scene.membrane, scene.object, scene.press, scene.side, seed, "", true_mm2=true_mm2)
+    base = Cell(**asdict(scene), seed=seed, method="", true_mm2=true_mm2)
     cells = []
     for name in plan.methods:
         scored = [(tree.symmetric_rmse_m(patch.points), patch) for patch in patches.get(name, ()) if len(patch.points)]
@@ -373,7 +368,7 @@ def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) 
     """Return the table: a line for each sensor and method."""
     presses = [press for press in PRESSES if any(cell.press == press for cell in cells)]
     lines = [["sensor", "method", *presses, "IoU", "force %", "empty", *(f"ms {press}" for press in presses)]]
-    for sensor, method in _names(cells, "sensor", "method"):
+    for sensor, method in dict.fromkeys((cell.sensor, cell.method) for cell in cells):
         mine = [cell for cell in cells if (cell.sensor, cell.method) == (sensor, method)]
         ious = [[cell.iou or 0.0 for cell in mine if cell.press == press] for press in presses]
         iou = "/".join(_number(fmean(each) if each else None, 2) for each in ious)
@@ -391,10 +386,6 @@ def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) 
     )
     failures = dict.fromkeys(f"{c.method}: {c.failure}" for c in cells if c.failure not in ("", NO_CONTACT_FOUND))
     return "\n".join([aligned(lines), note, *failures])
-
-
-def _names(cells: Sequence[Cell], *fields: str) -> Collection[Any]:
-    return dict.fromkeys(tuple(getattr(cell, field) for field in fields) for cell in cells)
 
 
 def _number(number: float | None, digits: int) -> str:

@@ -288,7 +288,6 @@ class Watch:
         """Measure one frame, taken at ``time_s`` by any clock, and return what it decides."""
         self._looks += 1
         self._next_s = time_s + (INTERVAL_S if self._looks >= LOOKS else _FIRST_INTERVAL_S)
-        frame.check_against(self._rig)
         self.drift = None
         try:
             drift = compare_with_untouched(self._preset, self._rig, frame, self._untouched)

@@ -50,8 +50,6 @@ def average_untouched(frames: Iterable[SensorFrame]) -> Snapshot:
     for frame in frames:
         held.append(frame)
         _refuse_movement(held[0], frame, len(held))
-    if not held:
-        raise CalibrationError("an untouched frame needs at least one frame; the source gave none")
     return take_snapshot(held)
 
 
@@ -67,7 +65,13 @@ def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> Untouc
 def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
     """Read the untouched frame that a preset names; its path may also be that of a recording that holds both."""
     if preset_path.suffix == ".mcap":
-        return _checked(_recorded(preset_path), record, f"the untouched frame in {preset_path}")
+        from ..sources.tactune_files import McapSource  # on demand: presets in files need not wait for it
+
+        try:
+            with McapSource(preset_path) as recording:
+                return _checked(recording.untouched(), record, f"the untouched frame in {preset_path}")
+        except SourceError as error:
+            raise PresetError(f"the untouched frame of the preset cannot be read: {error}") from error
     path = preset_path.parent / record.file
     if not path.is_file():
         raise PresetError(f"the untouched frame {path} of the preset is missing; put it there, or {_REMEDY}")
@@ -185,16 +189,6 @@ def tile_medians(counts: Uint16Array) -> Float64Array:
     known = valid.sum(axis=1)
     medians = ordered[np.arange(len(ordered)), np.maximum(known - 1, 0) // 2].astype(np.float64)
     return np.where(known >= TILE_PX**2 // 2, medians, np.nan)
-
-
-def _recorded(path: Path) -> SensorFrame | None:
-    from ..sources.tactune_files import McapSource
-
-    try:
-        with McapSource(path) as recording:
-            return recording.untouched()
-    except SourceError as error:
-        raise PresetError(f"the untouched frame of the preset cannot be read: {error}") from error
 
 
 def _checked(frame: SensorFrame | None, record: UntouchedRecord, what: str) -> SensorFrame:

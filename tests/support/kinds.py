@@ -357,7 +357,7 @@ def read_camchain(folder: Path) -> None:
 
 
 POINTS = [PAIR.model_copy(update={"id": str(k)}) for k in range(50)]
-SCENE = table.Scene("cup", "low")
+SCENE = table.Scene("usual", "standard", "cup", "low", "")
 CELL = table.Cell("usual", "standard", "cup", "low", "", 0, "straight", rmse_mm=0.5)
 
 

@@ -166,9 +166,6 @@ class SimulatorSource(SeekableSource):
         progress(1.0, "The scene is ready")
         return solved
 
-    def _press(self, scene: Scene) -> Press:
-        return Press(scene, deepcopy(_inflated(scene.design)), self._both)
-
     def solve_anew(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""
         name = scene.name.rpartition("-")[0].replace("-", " ").replace(" none", " untouched")
@@ -179,7 +176,7 @@ class SimulatorSource(SeekableSource):
         facts: list[PressFacts] = []
         pool = ThreadPoolExecutor(1)
         try:
-            press = self._press(scene)
+            press = Press(scene, deepcopy(_inflated(scene.design)), self._both)
             for depth, pose, state in press.states():
                 drawn.append(pool.submit(press.picture, pose, state))
                 facts.append(press.facts(depth, pose, state))

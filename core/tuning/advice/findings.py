@@ -61,15 +61,12 @@ class Situation:
     untouched: SensorFrame | None = None
     untouched_patch: ContactPatch | None = None
 
-    @property
-    def distance_m(self) -> float:
-        """Median distance of the membrane from the tactile camera, metres; nan without depth."""
-        counts = self.frame.tactile_depth[::_STRIDE, ::_STRIDE]
-        counts = counts[valid_depth(counts)]
-        section = self.preset.alignment
-        if not len(counts):
-            return math.nan
-        return float(np.median(counts)) * self.rig.tactile.depth_unit_m * section.depth_scale + section.depth_offset_m
+
+def _distance_m(frame: SensorFrame, rig: Rig) -> float:
+    """Return the median tactile depth as measured, metres; nan without depth."""
+    counts = frame.tactile_depth[::_STRIDE, ::_STRIDE]
+    counts = counts[valid_depth(counts)]
+    return float(np.median(counts)) * rig.tactile.depth_unit_m if len(counts) else math.nan
 
 
 def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Finding | None:
@@ -107,17 +104,12 @@ def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
 
 def wrong_unit(frame: SensorFrame, rig: Rig) -> Finding | None:
     """The tactile camera sees the membrane at a distance that no sensor has."""
-    counts = frame.tactile_depth[::_STRIDE, ::_STRIDE]
-    counts = counts[valid_depth(counts)]
-    if not len(counts):
-        return None
-    unit_m = rig.tactile.depth_unit_m
-    distance_m = float(np.median(counts)) * unit_m
-    if _PLAUSIBLE_M[0] <= distance_m <= _PLAUSIBLE_M[1]:
+    distance_m = _distance_m(frame, rig)
+    if math.isnan(distance_m) or _PLAUSIBLE_M[0] <= distance_m <= _PLAUSIBLE_M[1]:
         return None
     sentence = (
         f"The tactile camera sees the membrane at {distance_m:.2g} m in the median: check its depth_unit_m "
-        f"{unit_m:g} in rig.json."
+        f"{rig.tactile.depth_unit_m:g} in rig.json."
     )
     return Finding("depth_unit", "cameras", sentence, action="camera_settings", explains_empty=True)
 
@@ -135,7 +127,8 @@ def covering_mask(it: Situation) -> Finding | None:
 
 def peak(it: Situation) -> Finding | None:
     """The bias between the cameras is larger than the contact test stands."""
-    preset, distance_m = it.preset, it.distance_m
+    preset, section = it.preset, it.preset.alignment
+    distance_m = _distance_m(it.frame, it.rig) * section.depth_scale + section.depth_offset_m
     if not preset.test.needs_proximity or not distance_m > 0 or (found := _bias(it)) is None:
         return None
     limits = preset.test.bias_limits(preset, distance_m)
