@@ -128,9 +128,7 @@ def _refuse_repeated(pairs: list[PointPair]) -> None:
     for pair in pairs:
         place = (pair.proximity, pair.proximity_image, pair.tactile)
         if place in seen:
-            raise CalibrationError(
-                f"pairs {seen[place]} and {pair.id} are the same points; delete one, a pair counts only once"
-            )
+            raise CalibrationError(f"pairs {seen[place]} and {pair.id} are the same points; delete one of them")
         seen[place] = pair.id
 
 

@@ -43,9 +43,7 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     if not rig.has_proximity:
         raise CalibrationError("the rig has one camera, so there is no alignment")
     if frame.tactile_color is None:
-        raise CalibrationError(
-            f"frame {frame.sequence} has no tactile colour image to compare; use a source that has one"
-        )
+        raise CalibrationError(f"frame {frame.sequence} has no tactile colour image; use a source that has one")
     alignment = Alignment.of_preset(preset.alignment, rig)
     pose = _pose(preset.alignment, rig)
     record = preset.alignment.calibration

@@ -70,9 +70,7 @@ def read_points(path: Path | str) -> list[PointPair]:
         fields = dict(zip(header, row, strict=True))
         pair = _pair({"id": str(number), "enabled": "1"} | fields, where)
         if pair.id in pairs:
-            raise CalibrationError(
-                f"{where}: id {foreign(pair.id, 40)!r} is taken by an earlier row; give each pair its own"
-            )
+            raise CalibrationError(f"{where}: id {foreign(pair.id, 40)!r} is taken by an earlier row; give another")
         pairs[pair.id] = pair
     return list(pairs.values())
 
@@ -147,9 +145,7 @@ def check_points(points: PointArrays, least: int, name: str, **sides: Float64Arr
     for side, places in sides.items():
         along, across = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[:2]
         if across <= _LINE_SHARE * along:
-            raise CalibrationError(
-                f"the {side} points lie on one line, which determines no {name}; add points to both sides of the line"
-            )
+            raise CalibrationError(f"the {side} points lie on one line and determine no {name}; add points beside it")
 
 
 _SEPARATORS: Final = (";", "\t", ",")
@@ -165,9 +161,7 @@ def read_table(
     except UnicodeDecodeError as error:
         raise CalibrationError(f"cannot read the {what} {path}: it is no text; choose a CSV file") from error
     except OSError as error:
-        raise CalibrationError(
-            f"cannot read the {what} {path}: {error.strerror or error}; choose a CSV file"
-        ) from error
+        raise CalibrationError(f"cannot read the {what} {path}: {error.strerror or error}; choose another") from error
     except ValueError as error:
         raise CalibrationError(f"{path}, {error}; correct the row") from error
 

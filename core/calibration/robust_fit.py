@@ -279,10 +279,7 @@ def fit_homography(points: PointArrays, rig: Rig, *, known: BoolArray | None = N
     check_points(points, HomographyModel.sample, "homography", tactile=points.tactile, proximity=points.proximity)
     fit = _fit_robustly(HomographyModel(points, rig, names, CLICK_SIGMA_PX), known)
     if np.linalg.det(np.asarray(fit.alignment.homography)) < 0:
-        raise CalibrationError(
-            "the points run around in opposite senses in both images: one image is mirrored, or partners are swapped; "
-            "flip the image or click the pairs again"
-        )
+        raise CalibrationError("one image is mirrored, or partners are swapped; flip it or click the pairs again")
     return fit
 
 
@@ -304,9 +301,7 @@ def _fit_robustly(model: Model, known: BoolArray | None) -> Fit:
     count = len(model.points)
     starts = model.proposals(np.sqrt(2) * model.sigma_px)
     if not starts:
-        raise CalibrationError(
-            f"the points determine no {model.name}: they lie on one line or on each other; spread them out"
-        )
+        raise CalibrationError(f"the points determine no {model.name}: they lie on one line; spread them out")
     if known is None and count == model.sample:
         known = np.ones(count, bool)
     best: tuple[float, Float64Array, BoolArray] | None = None if known is None else (0.0, starts[0], known)
@@ -329,9 +324,7 @@ def _fit_robustly(model: Model, known: BoolArray | None) -> Fit:
     evidence, theta, inliers = best
     fit = _solve(model, theta, inliers)
     if fit is None or fit.condition > _MAX_CONDITION:
-        raise CalibrationError(
-            f"the points determine no {model.name}: they lie almost on one line or on each other; spread them out"
-        )
+        raise CalibrationError(f"the points determine no {model.name}: they lie almost on one line; spread them out")
     surplus = int(inliers.sum()) - model.sample
     against_chance = evidence + surplus * np.log(model.area / (np.pi * _WRONG_PX**2))
     if known is None and (against_chance < _SIGNIFICANT * min(surplus, _SURPLUS) or inliers.mean() < MIN_INLIER_SHARE):

@@ -46,10 +46,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
     for frame in frames:
         frame.check_against(rig)
         if frame.tactile_color is None:
-            raise CalibrationError(
-                f"frame {frame.sequence} has no tactile colour image, so there is no texture to match; "
-                "detect a chessboard or click the points"
-            )
+            raise CalibrationError(f"frame {frame.sequence} has no tactile colour image to match; click the points")
     views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
     stated = Alignment.of_rig(rig)
     found = _guided(views, rig, stated) if stated is not None else _NOTHING

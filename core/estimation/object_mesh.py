@@ -194,7 +194,5 @@ def import_open3d() -> Any:
             warnings.simplefilter("ignore", ImportWarning)  # a build with CUDA on a computer without
             import open3d
     except (ImportError, OSError) as error:  # OSError: a system library is missing
-        raise MissingExtraError(
-            f'tracking an object needs Open3D, which cannot be imported ({error}): pip install "tactune[open3d]"'
-        ) from error
+        raise MissingExtraError(f"tracking needs Open3D ({error}): pip install 'tactune[open3d]'") from error
     return open3d

@@ -447,9 +447,7 @@ def machine_words() -> str:
         with suppress(PackageNotFoundError):
             packages[name] = version(name)
     if "open3d" not in packages:
-        raise MissingExtraError(
-            "the benchmark compares with open3d, which is not installed: pip install 'tactune[lab]'"
-        )
+        raise MissingExtraError("the benchmark needs open3d: install it with pip install 'tactune[lab]'")
     lines = _CPU_FACTS.read_text().splitlines() if _CPU_FACTS.exists() else []
     named = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
     processor = named or platform.processor() or platform.machine()

@@ -139,8 +139,7 @@ def build_mesh(
         region = _eroded(whole, round(spacing / 4))
         if np.count_nonzero(region) < _MIN_NODES:
             raise TactuneError(
-                f"the untouched frame shows the membrane in {np.count_nonzero(whole)} tactile pixels, too small "
-                "for a mesh; take a new untouched frame"
+                f"the untouched frame shows {np.count_nonzero(whole)} pixels of membrane; capture it again"
             )
         outline, inner = _place_nodes(region, spacing)
         found = len(outline) + len(inner)
@@ -352,10 +351,7 @@ def curvature_radius(mesh: MembraneMesh, stiffness: sparse.csr_matrix, areas: Fl
     bent = np.einsum("ij,ij->i", stiffness @ mesh.positions, mesh.normals)
     twice_curvature = float(bent[inner].sum() / areas[inner].sum())
     if twice_curvature < 2.0 / _LARGEST_RADIUS_M:
-        raise TactuneError(
-            "mechanics: the membrane of the untouched frame does not bulge away from the camera; "
-            "inflate it and take a new untouched frame"
-        )
+        raise TactuneError("mechanics: the untouched membrane does not bulge outward; inflate it and capture it again")
     return 2.0 / twice_curvature
 
 

@@ -95,8 +95,5 @@ def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | No
     if name in PIPELINES:
         return ContactPipeline(preset.with_values(PIPELINES[name]), rig).process
     if untouched is None:
-        raise TactuneError(
-            f"{name} compares with the untouched membrane, but there is no untouched frame; "
-            "capture one while nothing touches the membrane"
-        )
+        raise TactuneError(f"{name} needs an untouched frame; capture one while nothing touches the membrane")
     return {**_added()[0], **RIVALS}[name](preset, rig, untouched)

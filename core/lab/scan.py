@@ -83,10 +83,7 @@ def _subdivided(mesh: Any, path: Path | str) -> Any:
     material = mesh.visual.material
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's placeholder has no format
-        raise SourceError(
-            f"{path} has a texture that is missing or cannot be read; "
-            "put its image (and an .obj's .mtl) into the same folder"
-        )
+        raise SourceError(f"the texture of {path} is missing or damaged; put its image and .mtl beside it")
     try:
         image.load()  # until now Pillow has read the image's header only
     except (OSError, ValueError, SyntaxError) as error:
@@ -143,10 +140,7 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
     touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
     areas = scan.areas_m2[touching]
     if areas.sum() / spacing_m**2 > _MAX_POINTS:
-        raise TactuneError(
-            f"the painted contact is {1e4 * areas.sum():.3g} cm2, too large for points {1e3 * spacing_m:g} mm apart; "
-            "check the scan's unit and the paint's colour"
-        )
+        raise TactuneError(f"the painted contact has {1e4 * areas.sum():.3g} cm2; check the scan's unit and the colour")
     if len(touching) == 0:
         return np.empty((0, 3)), np.empty((0, 3))
     count = max(round(areas.sum() / spacing_m**2), 1)
@@ -194,8 +188,7 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
     points = moved(pose, found)
     if len(points) and points[:, 2].min() <= 0:
         raise TactuneError(
-            "the transform puts the scan's contact behind the proximity camera; it must take the scan's frame, in "
-            "metres, to the proximity depth frame"
+            "the transform puts the contact behind the proximity camera; give T_proximity_scan in metres"
         )
     # projected area of a surface element with normal n seen along ray p: |n . p| / p_z
     projected = np.abs((normals @ np.asarray(pose)[:3, :3].T * points).sum(axis=1)) / points[:, 2]

@@ -41,10 +41,7 @@ def rigid_transform(matrix: Any) -> Matrix4:
         raise ValueError(f"a pose is a 4 x 4 matrix of numbers, this one has the shape {raw.shape}, type {raw.dtype}")
     array = raw.astype(np.float64)
     if not np.abs(array[:3]).max() <= _MAX_SHIFT_M:  # also nan
-        raise ValueError(
-            f"a pose has a rotation and metres up to {_MAX_SHIFT_M:g}, this one contains larger numbers or nan; "
-            "is it in mm?"
-        )
+        raise ValueError(f"a pose holds metres up to {_MAX_SHIFT_M:g}, this one larger numbers or nan; is it in mm?")
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if deviation > 1e-3 or np.linalg.det(rotation) < 0:

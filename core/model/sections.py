@@ -61,9 +61,7 @@ class MaskSection(Section):
         for name in ("saturation", "value"):
             low, high = getattr(self, name)
             if low > high:
-                raise ValueError(
-                    f"{name} has its low end {low} above its high end {high}; only hue wraps around, swap them"
-                )
+                raise ValueError(f"{name} has its low end {low} above its high end {high}, as only hue may; swap them")
         return self
 
 

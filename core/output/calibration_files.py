@@ -48,9 +48,7 @@ def _cameras(rig: Rig, preset: Preset | None) -> Iterator[_Camera]:
     yield _Camera(PROXIMITY_FRAME, "/proximity/depth/image", rig.proximity.intrinsics, np.eye(4))
     alignment = Preset().alignment if preset is None else preset.alignment
     if alignment.model == "homography":
-        raise ExportError(
-            "the preset's alignment is a homography, which is no pose of the cameras; calibrate the rigid model"
-        )
+        raise ExportError("the preset's alignment is a homography, not a pose; calibrate the rigid model")
     yield _Camera(TACTILE_FRAME, "/tactile/depth/image", rig.tactile.intrinsics, tactile_pose(alignment, rig))
     if rig.proximity_color is not None:
         color = np.linalg.inv(np.array(rig.proximity_color.T_color_depth))

@@ -92,9 +92,7 @@ class FoxgloveSink:
     def __init__(self, host: str, port: int, max_clients: int, origins: Collection[str] = frozenset()) -> None:
         for origin in origins:
             if not re.fullmatch(r"null|https?://[^/?#\s]+", origin):
-                raise PublishError(
-                    f"the origin is {foreign(origin, 80)!r}; write it as https://app.foxglove.dev, without a path"
-                )
+                raise PublishError(f"the origin is {foreign(origin, 80)!r}; write it as https://app.foxglove.dev")
         self._host, self._port = host, port
         self._max_clients, self._origins = max_clients, frozenset(map(str.lower, origins))
         self._channels: list[dict[str, Any]] = []  # By their numbers

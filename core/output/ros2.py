@@ -27,9 +27,7 @@ class Ros2Sink:
     def __init__(self, domain: int = 0, namespace: str = "", host: str = "127.0.0.1") -> None:
         namespace = namespace.strip("/")
         if namespace and not _NAMESPACE.fullmatch(namespace):
-            raise PublishError(
-                f"{namespace!r} is no namespace of ROS 2; use letters, digits, _ and /, no part beginning with a digit"
-            )
+            raise PublishError(f"{namespace!r} is no namespace of ROS 2; use letters, digits, _ and /, no digit first")
         try:
             check_network(domain, host)
         except ValueError as error:

@@ -41,22 +41,16 @@ class Press(NamedTuple):
         """Return the press in a frame; `CalibrationError` if it tells nothing of the inflation."""
         facts = patch.pressure
         if facts is None:
-            raise CalibrationError(
-                "no contact pressure was computed; set the contact test to pressure, which needs an untouched frame"
-            )
+            raise CalibrationError("no contact pressure was computed; set the contact test to pressure")
         if not facts.agrees:
-            raise CalibrationError(
-                f"force and pressure disagree in frame {frame}; press in the centre, away from rim and missing depth"
-            )
+            raise CalibrationError(f"force and pressure disagree in frame {frame}; press in the centre, not at the rim")
         if not _FORCES_N[0] <= force_n <= _FORCES_N[1]:
             raise CalibrationError(f"the force is {force_n:g} N; give what the scale reads while the object presses")
         force, sigma = np.array(facts.force_mm2), np.array(facts.force_sigma_mm2)
         area = float(np.linalg.norm(force))
         spread = float(np.linalg.norm(force * sigma)) / area if area > 0 else math.inf
         if not area > _SIGMAS * spread:
-            raise CalibrationError(
-                f"no press stands out of the noise in frame {frame}; press more firmly, with some 1,000 mm2 of contact"
-            )
+            raise CalibrationError(f"no press stands out of the noise in frame {frame}; press firmly, over 1,000 mm2")
         reasons = {"at the rim": facts.at_rim, "noise not measured": not facts.noise_known}
         return cls(frame, force_n, area, spread, tuple(reason for reason, so in reasons.items() if so))
 
@@ -150,9 +144,7 @@ def read_forces(path: Path | str) -> Forces:
             with suppress(ValueError):
                 table[index, column] = float(text)
             if not math.isfinite(table[index, column]):
-                raise CalibrationError(
-                    f"{path}, line {line}: {header[place]} is {foreign(text, 40)!r}; it should be a number"
-                )
+                raise CalibrationError(f"{path}, line {line}: {header[place]} is {foreign(text, 40)!r}, not a number")
     if not len(table):
         raise CalibrationError(f"{path} has no row; it should have the columns {_COLUMNS}")
     table = table[np.argsort(table[:, 0], kind="stable")]

@@ -101,10 +101,7 @@ def measure_noise(
     report = progress or (lambda share, words: None)
     different = list({frame.sequence: frame for frame in frames}.values())
     if len(different) < MIN_FRAMES:
-        raise FrameError(
-            f"the noise needs {MIN_FRAMES} different frames of a scene at rest, there are {len(different)}; "
-            "let the source play longer"
-        )
+        raise FrameError(f"the noise needs {MIN_FRAMES} different frames, there are {len(different)}; play longer")
     for frame in (*different, *([untouched] if untouched is not None else [])):
         frame.check_against(rig)
     report(0.0, "Looking for movement")
@@ -188,9 +185,7 @@ def _camera_noise(
         mean = np.asarray(added / count, np.float32)
     seen = count >= _MIN_SEEN * len(depths)
     if seen.mean() < _MIN_USABLE:
-        raise FrameError(
-            f"the {role} camera sees depth in only {100 * seen.mean():.1f} % of its image; check that it sees the scene"
-        )
+        raise FrameError(f"the {role} camera sees depth in {100 * seen.mean():.1f} % of its image only; check its view")
     squares, pairs = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
     for before, after in pairwise(depths):
         difference = after - before
@@ -306,10 +301,7 @@ def _fixed_autocovariances(
         rows = _residual_autocovariances(surface, divisor, good, tile_px)
         if len(rows):
             return _with_errors(rows), tile_px
-    raise FrameError(
-        f"the {role} camera sees no smooth surface of {_TILE_PX} x {_TILE_PX} pixels; "
-        "put a smooth object or a wall in front of it"
-    )
+    raise FrameError(f"the {role} camera sees no smooth surface; put a smooth object or a wall in front of it")
 
 
 def _residual_autocovariances(

@@ -52,7 +52,5 @@ def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorF
     elif preset.noise is not None:
         links["noise"] = _edge_error_mm(pipeline, preset.noise, rig, pressed)
     if not links:
-        raise CalibrationError(
-            "nothing tells the error of the boundary: neither alignment nor noise was measured; measure one of them"
-        )
+        raise CalibrationError("nothing tells the boundary's error; measure the noise or calibrate the alignment")
     return Verdict(links_mm=links, reasons=doubt.reasons, judged=now())

@@ -284,9 +284,7 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     if metres.exists():
         depth = read_image(metres)
         if depth.dtype != np.float32 or depth.shape != shape:
-            raise SourceError(
-                f"{metres} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again"
-            )
+            raise SourceError(f"{metres} holds {depth.dtype}, {depth.shape}, not float32, {shape}; write it again")
     return GroundTruth(mask == 255, depth)
 
 

@@ -97,9 +97,7 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
         return Lens(_intrinsics(pinhole))
     if name not in _PINHOLE or d.size not in _COUNTS:
         known = ", ".join(("none", "plumb_bob", "rational_polynomial", "thin_prism", "equidistant"))
-        raise SourceError(
-            f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is unknown; known are {known}"
-        )
+        raise SourceError(f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is none of {known}")
     if not d[5:].any():
         brown = tuple(np.pad(d, (0, 5))[:5].tolist())
         return Lens(_intrinsics({**pinhole, "distortion": Distortion.BROWN_CONRADY, "coefficients": brown}))
@@ -124,9 +122,7 @@ def camera_info_lens(message: Any, size: tuple[int, int] | None = None, *, is_re
     matrix: Float64Array = p.reshape(3, 4)[:, :3].copy() if by_p else np.array(k, np.float64).reshape(3, 3)
     stated = _cut(matrix, (message.width, message.height), vars(message.roi), message.binning_x, message.binning_y)
     if size is not None and stated != size:
-        raise SourceError(
-            f"its images have {size[0]} x {size[1]} pixels, but its camera_info describes {stated[0]} x {stated[1]}"
-        )
+        raise SourceError(f"its images have {size[0]} x {size[1]} pixels, its lens {stated[0]} x {stated[1]}")
     model, d = ("none", ()) if by_p else (message.distortion_model, _field(message, "d"))
     return make_lens(model, d, matrix.ravel().tolist(), stated)
 
@@ -315,9 +311,7 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
         return None
     family = str(fields.get("camera_model", "pinhole"))  # Kalibr's; others than pinhole give the numbers other meanings
     if family.lower() != "pinhole":
-        raise SourceError(
-            f"{path}: the camera model {foreign(family, 40)!r} of {foreign(name, 40)} is unknown; known is pinhole"
-        )
+        raise SourceError(f"{path}: {foreign(name, 40)} has the camera model {foreign(family, 40)!r}; known is pinhole")
     coefficients = next((_flat(fields[key]) for key in _COEFFICIENTS if fields.get(key) is not None), ())
     fisheye = str(fields.get("fisheye_model", fields.get("fisheye", 0))).lower() not in ("0", "false", "none")
     model = str(fields.get("distortion_model") or fields.get("distortion") or ("fisheye" if fisheye else "opencv"))

@@ -79,10 +79,7 @@ def _cameras(name: str, recordings: Sequence[RecordingFile]) -> list[RecordedCam
         raise SourceError(f"{name} has {len(cameras)} depth cameras ({models}); record one or two")
     first, last = cameras[0][0].calibration.depth, cameras[-1][0].calibration.depth
     if len(cameras) == 2 and first.serial == last.serial != "":
-        raise SourceError(
-            f"{name}: both recordings are of the same camera, {first.model} {first.serial}; "
-            "give the recording of the other camera as well"
-        )
+        raise SourceError(f"{name}: both are of the same {first.model} {first.serial}; give one of each camera")
     cameras.sort(key=lambda camera: "L515" not in camera[0].calibration.depth.model)
     one, other = cameras[0][1], cameras[-1][1]
     times_s = _common_times(one, other, one_device=len(cameras) == 1)

@@ -151,9 +151,7 @@ class RawImage:
         """Return the image's bytes without padding, (planes * H, W * bytes per pixel); planes lie below each other."""
         width, count = shape[1], round(shape[0] * planes)
         if (self.height, self.width) != shape:
-            raise DamagedFileError(
-                f"it has {self.width} x {self.height} pixels, but its lens is said to have {width} x {shape[0]}"
-            )
+            raise DamagedFileError(f"it has {self.width} x {self.height} pixels, its lens {width} x {shape[0]}")
         is_padded = planes > 1 and self.step != width  # a driver may pad the rows of neither plane
         if is_padded or self.step < width * bytes_per_pixel or len(self.data) < count * self.step:
             raise DamagedFileError(f"it has {len(self.data)} bytes, too few for its size")

@@ -118,7 +118,7 @@ class McapSource(RecordedSource):
             kinds = self._bag.kinds
             known = f"its topics are {', '.join(sorted(kinds)[:8])}" if kinds else "it has no messages"
             cut = "" if self._bag.complete else "it was cut off before its first frame was complete; "
-            why = f"{cut}there is no image on {needed} ({known}); choose another recording"
+            why = f"{cut}no image is on {needed} ({known}); choose another"
             if Topic.PATCH in kinds:
                 why = "it holds contact patches only, for Foxglove or RViz; record images with tactune record"
             raise SourceError(f"{self._path} holds no frame: {why}")

@@ -147,9 +147,7 @@ def default_axes(preset: Preset) -> tuple[Axis, ...]:
 def grid_of(axes: Sequence[Axis]) -> list[dict[str, Any]]:
     """Return all combinations of listed values."""
     if (count := math.prod(len(axis.values) for axis in axes)) > MAX_GRID:
-        raise TuneError(
-            f"the grid has {count} points, but the limit is {MAX_GRID}; give fewer values, or search with --trials N"
-        )
+        raise TuneError(f"the grid has {count} points, more than {MAX_GRID}; give fewer values, or --trials N")
     rows = itertools.product(*(axis.values for axis in axes))
     return [dict(zip((axis.path for axis in axes), row, strict=True)) for row in rows]
 

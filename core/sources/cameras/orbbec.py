@@ -208,9 +208,7 @@ class OrbbecCamera(Camera):
             self._color_lens = _lens(color)
             return Calibration(camera, self._color_lens.intrinsics, _pose(depth, color))
         except (ValidationError, ValueError, SourceError) as error:
-            raise SourceError(
-                f"the {info.title} reports a lens, pose or depth unit that cannot be ({error})"
-            ) from error
+            raise SourceError(f"the {info.title} reports an impossible lens, pose or depth unit ({error})") from error
 
 
 def _lens(frame: Any) -> Lens:

@@ -65,7 +65,7 @@ def load_driver() -> Any:
         return importlib.import_module("pyrealsense2")
     except ModuleNotFoundError as error:
         raise MissingExtraError(
-            "live cameras need the camera driver pyrealsense2, which is not installed: pip install 'tactune[realsense]'"
+            "live cameras need the driver pyrealsense2: install it with pip install 'tactune[realsense]'"
         ) from error
     except ImportError as error:
         raise SourceError(

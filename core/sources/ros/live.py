@@ -305,9 +305,7 @@ class Ros2Camera(Camera):
             if time.monotonic() > end_s:
                 if not depth.reader.entity.get_matched_publications():
                     raise SourceError(f"nobody publishes {name}; start the camera's ROS 2 driver")
-                raise SourceError(
-                    f"the {info.title} has not started within {_OPENING_S:g} s: {len(depth.waiting)} images have come"
-                )
+                raise SourceError(f"the {info.title} has sent only {len(depth.waiting)} images in {_OPENING_S:g} s")
         stamps_s = np.array([message.stamp_s for message in depth.waiting])
         if not stamps_s.any():
             raise SourceError(f"the images on {name} have no time stamps in their headers")

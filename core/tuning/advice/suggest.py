@@ -42,10 +42,7 @@ def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
             "Contact is where the membrane is flatter than in the untouched frame.",
         )
     if preset.alignment.model != "rigid":
-        raise AdviceError(
-            "contact test: the membrane test needs the rigid alignment, and this preset uses a homography; choose "
-            "rigid, or calibrate it"
-        )
+        raise AdviceError("contact test: the membrane test needs the rigid alignment; choose it, or calibrate it")
     progress(0.2, "Looking for the membrane")
     seen = float(np.mean(valid_depth(frame.tactile_depth)))
     if seen < _MIN_SEEN:
@@ -184,10 +181,7 @@ def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the smallest pressure that the measured noise allows, as a share of the inflation."""
     preset, untouched = evidence.preset, evidence.untouched
     if preset.noise is None or untouched is None:
-        raise AdviceError(
-            "pressure: the noise of the camera and the untouched frame tell the pressure limit; capture it and "
-            "measure the noise (F6)"
-        )
+        raise AdviceError("pressure: noise and untouched frame tell the limit; capture it and measure the noise (F6)")
     in_use = preset.with_value("contact_test", "pressure")
     facts = ContactPipeline(in_use, evidence.rig, untouched).process(untouched).pressure
     if facts is None or not math.isfinite(facts.relative_sigma):
@@ -265,9 +259,7 @@ def suggest_all(
     """
     evidence.frame.check_against(evidence.rig)
     if unknown := set(sections or ()) - set(SECTIONS):
-        raise AdviceError(
-            f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
-        )
+        raise AdviceError(f"nothing is suggested for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}")
     present, parts, refusals = evidence.preset, [], {}
     of_tests = {name for test in CONTACT_TESTS.values() for name in test.sections}
     unread = of_tests if evidence.rig.has_proximity else of_tests | set(_OF_TWO_CAMERAS)

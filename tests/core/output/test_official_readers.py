@@ -182,7 +182,7 @@ def test_a_bag_without_a_rig_is_refused(tmp_path, ours):
 
 def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours):
     for without, sentence in (
-        ("/tactile/depth/image", r"holds no frame: there is no image on /tactile/depth/image \(its topics are /prox"),
+        ("/tactile/depth/image", r"holds no frame: no image is on /tactile/depth/image \(its topics are /prox"),
         ("/", r"holds no frame: .* \(it has no messages\)"),
     ):
         with pytest.raises(SourceError, match=sentence):

@@ -170,7 +170,7 @@ def test_the_same_camera_twice_is_refused(tmp_path):
     path = make_bag(tmp_path / "a.bag", L515)
     copy = tmp_path / "b.bag"
     copy.write_bytes(path.read_bytes())
-    with pytest.raises(SourceError, match=r"both recordings are of the same camera, Intel RealSense L515 sn0"):
+    with pytest.raises(SourceError, match=r"both are of the same Intel RealSense L515 sn0"):
         BagSource(f"{path},{copy}")
 
 

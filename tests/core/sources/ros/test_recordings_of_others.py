@@ -282,7 +282,7 @@ def test_binning_region_and_the_first_filled_in_lens(tmp_path):
     assert (lens.width, lens.height, lens.fx, lens.fy) == (W, H, 15.0, 15.0)
     assert (lens.cx, lens.cy) == ((15.5 - 8) / 2, (11.5 - 4) / 2)
     wrong = depth(NEAR, "a_optical", size=(W * 3, H))
-    with pytest.raises(SourceError, match="32 x 24 pixels, but its camera_info describes 96 x 24"):
+    with pytest.raises(SourceError, match="32 x 24 pixels, its lens 96 x 24"):
         first_frame(make_recording(tmp_path / "wrong", [wrong, TWO[1]]))
 
 
