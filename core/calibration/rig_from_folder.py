@@ -288,8 +288,7 @@ def _unit(
         )
     if not is_float and unit_m > MAX_UNIT_M:
         raise CalibrationError(
-            f"the unit says {unit_m:g} m for {said}, whose images hold whole counts; a count is at most "
-            f"{MAX_UNIT_M * 1e3:g} mm, such as mm (--unit)"
+            f"the unit says {unit_m:g} m for {said}; a count is at most {MAX_UNIT_M * 1e3:g} mm, such as mm (--unit)"
         )
     known = (image > 0) if is_float else valid_depth(image)
     half_m = float(np.median(image[known])) * unit_m if known.any() else float("nan")
@@ -411,8 +410,7 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     uncertain = min(focal_sd_px / focal_px, 1.0)
     if not uncertain <= _MAX_FOCAL_SHARE:
         raise CalibrationError(
-            f"{folder}: these boards do not tell focal length from distance: fx is uncertain by {uncertain:.0%}; "
-            "tilt the board by 20 degrees or more, in another direction in each picture"
+            f"{folder}: fx is uncertain by {uncertain:.0%}; tilt the board by 20 degrees or more, each time another way"
         )
     lens = make_lens("plumb_bob", distortion.ravel()[:5].tolist(), K.ravel().tolist(), size).intrinsics
     check_lens(lens, str(folder))

@@ -394,6 +394,5 @@ def _no_agreement(model: Model, fit: Fit | None = None) -> CalibrationError:
             f"contradict{'s' if count - fit.inliers.sum() == 1 else ''} them by up to {min(far, 1e6):.0f} px"
         )
     return CalibrationError(
-        f"{found}; check that both images show the same moment and that left and right points are the same places, "
-        "delete the wrong pairs or click them again"
+        f"{found}; check that both images show the same moment, and delete the wrong pairs or click them again"
     )

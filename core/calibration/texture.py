@@ -57,9 +57,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
     fit = _fit(found, rig)
     if fit.rms_px > _MAX_RMS_PX:
         raise CalibrationError(
-            f"the {len(found)} places that look alike in both colour images agree only to "
-            f"{fit.rms_px:.1f} px, right ones agree to {_MAX_RMS_PX:g} px; check that both images show the same "
-            "scene, or click the points"
+            f"places that look alike agree only to {fit.rms_px:.1f} px; check that both images show the same scene"
         )
     kept = found[fit.inliers]
     best_first = kept[np.argsort(-kept[:, 6], kind="stable")].tolist()
@@ -179,8 +177,7 @@ def _described(views: list[_View]) -> Float64Array:
 def _fit(found: Float64Array, rig: Rig) -> Fit:
     if len(found) < _MIN_PAIRS:
         raise CalibrationError(
-            f"only {len(found)} places look alike in both colour images, {_MIN_PAIRS} are needed; "
-            "light the membrane evenly, average more frames, or click the points"
+            f"only {len(found)} places look alike, {_MIN_PAIRS} are needed; light the membrane evenly, or click points"
         )
     return fit_rigid(_points(found), rig, sigma_px=_MATCH_SIGMA_PX)
 

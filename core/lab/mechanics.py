@@ -80,8 +80,7 @@ class MembraneMechanics:
         seen = np.count_nonzero(np.isfinite(way_m))
         if seen < _SEEN_SHARE * len(way_m):
             raise FrameError(
-                f"mechanics: the tactile camera sees {seen} of the {len(way_m)} nodes of the membrane, too few for its "
-                "balance; check that the tactile image has depth where the untouched frame shows the membrane"
+                f"mechanics: only {seen} of {len(way_m)} nodes of the membrane have depth; check what the camera sees"
             )
         return np.asarray(way_m)
 
@@ -138,9 +137,7 @@ def build_mesh(
     for _ in range(6):
         region = _eroded(whole, round(spacing / 4))
         if np.count_nonzero(region) < _MIN_NODES:
-            raise TactuneError(
-                f"the untouched frame shows {np.count_nonzero(whole)} pixels of membrane; capture it again"
-            )
+            raise TactuneError(f"the untouched frame shows {np.count_nonzero(whole)} px of membrane; capture it again")
         outline, inner = _place_nodes(region, spacing)
         found = len(outline) + len(inner)
         if abs(found - nodes) <= 0.02 * nodes:
@@ -155,8 +152,7 @@ def build_mesh(
     inside = np.count_nonzero(~rim[used])
     if inside < _MIN_NODES or inside == len(used):
         raise TactuneError(
-            f"only {inside} nodes within the membrane's outline have depth in the untouched "
-            f"frame, but the mechanics needs {_MIN_NODES}; take a new untouched frame or ask for more nodes"
+            f"only {inside} nodes of the untouched membrane have depth, {_MIN_NODES} are needed; capture it again"
         )
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]
     renumbered = np.full(len(pixels), -1)

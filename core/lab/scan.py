@@ -187,9 +187,7 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
     found, normals = surface_points(scan, contact)
     points = moved(pose, found)
     if len(points) and points[:, 2].min() <= 0:
-        raise TactuneError(
-            "the transform puts the contact behind the proximity camera; give T_proximity_scan in metres"
-        )
+        raise TactuneError("the transform puts the contact behind the proximity camera; is it T_proximity_scan in m?")
     # projected area of a surface element with normal n seen along ray p: |n . p| / p_z
     projected = np.abs((normals @ np.asarray(pose)[:3, :3].T * points).sum(axis=1)) / points[:, 2]
     return ScanTruth(points, float(projected.sum()) * 1e6 * SPACING_M**2)

@@ -95,8 +95,7 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     frame.check_against(rig)
     if frame.tactile_color is None or frame.tactile_color.shape[:2] != frame.tactile_depth.shape:
         raise StrainError(
-            f"frame {frame.sequence} has no tactile colour image of the depth image's size; record the tactile camera "
-            "with its colour image, aligned to depth"
+            f"frame {frame.sequence} has no tactile colour image of the depth image's size; record it, aligned to depth"
         )
     depth_m = _smooth_depth_m(frame, rig.tactile)
     if not np.isfinite(depth_m).any():
@@ -182,10 +181,7 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
         if len(found) > len(best[1]):
             best = pixels[list(found.values())], list(found)
     if len(best[1]) < _MIN_DOTS:
-        raise StrainError(
-            f"frame {frame.sequence} shows no grid of dots; the membrane needs dark dots on a bright sheet, sharp and "
-            "at least 3 pixels wide"
-        )
+        raise StrainError(f"frame {frame.sequence} shows no grid of dots; they must be dark, sharp, 3 px wide or more")
     return best
 
 

@@ -88,8 +88,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     change, x, y, before = _changes(frame.tactile_depth, untouched.tactile_depth, rig.tactile)
     if len(change) < _MIN_PIXELS:
         raise CalibrationError(
-            f"the tactile camera sees only {len(change)} pixels of the membrane both now and in the untouched frame; "
-            "check that it sees the membrane, or capture the untouched frame again"
+            f"the tactile camera sees only {len(change)} pixels of the membrane in both frames; check what it sees"
         )
     rim, apex = np.quantile(before, [0.02, 0.98])
     inflated = apex - rim >= _MIN_BULGE_M

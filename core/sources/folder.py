@@ -120,8 +120,7 @@ def read_values(path: Path) -> AnyArray:
     if image.dtype.kind == "f" and image.ndim == 2:
         return image.astype(np.float64)
     raise SourceError(
-        f"{path} has {image.dtype} in the shape {image.shape}, but 1 channel of 16 bits or of floating-point values is "
-        "needed; save the depth itself, not a picture of it"
+        f"{path} has {image.dtype}, {image.shape}; save depth itself: one channel of 16 bits or floating-point values"
     )
 
 
@@ -154,10 +153,7 @@ def check_size(path: Path, image: AnyArray, shape: tuple[int, int]) -> AnyArray:
     """Return an image of this height and width; `SourceError` for another size."""
     if image.shape[:2] != shape:
         found = " x ".join(map(str, image.shape[1::-1])) if image.ndim in (2, 3) else str(image.shape)
-        raise SourceError(
-            f"{path} is {found} pixels, but rig.json says {shape[1]} x {shape[0]}; use the rig of the camera that took "
-            "it"
-        )
+        raise SourceError(f"{path} is {found} pixels, its rig.json says {shape[1]} x {shape[0]}; use its camera's rig")
     return image
 
 

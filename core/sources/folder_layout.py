@@ -121,8 +121,7 @@ def _foreign(path: Path) -> Layout:
         )
     if "tactile_depth" not in found and "prox" in str(found["proximity_depth"][0].path.relative_to(path)).lower():
         raise SourceError(
-            f"{path} has depth of the proximity camera only, that of the tactile camera is missing; copy all folders, "
-            "or name that of the only camera depth"
+            f"{path} has depth of the proximity camera only; copy the other's, or name that of the only camera depth"
         )
     if "proximity_depth" not in found:  # the only camera
         found = {slot.replace("tactile", "proximity"): images for slot, images in found.items()}

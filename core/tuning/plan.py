@@ -91,8 +91,7 @@ def parse_axis(text: str) -> Axis:
             if 0 < axis.high - axis.low < math.inf and (axis.low > 0 or not log):
                 return axis
         raise TuneError(
-            f"{path}: {given} is no range; write LOW:HIGH, or LOW:HIGH:log for equal ratios, with a high end above the "
-            "low end, and for equal ratios a low end above 0"
+            f"{path}: {given} is no range; write LOW:HIGH, or for equal ratios LOW:HIGH:log with LOW above 0"
         )
     try:
         values = json.loads(f"[{given.strip(',')}]")

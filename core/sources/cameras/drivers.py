@@ -68,9 +68,7 @@ def choose(
     """Give each role a device, by the preset's serial numbers or by `DeviceInfo.role`, if that is clear."""
     if not devices:
         note = f"; note that {hint}" if hint else ""
-        raise SourceError(
-            f"{SCHEME}: finds no camera connected: plug both into USB 3 ports; tactune doctor finds other causes{note}"
-        )
+        raise SourceError(f"{SCHEME}: finds no camera; plug both into USB 3 ports, or see tactune doctor{note}")
     serials: dict[CameraRole, str] = {"proximity": cameras.proximity.serial, "tactile": cameras.tactile.serial}
     form = f"name both serials as {SCHEME}:PROXIMITY,TACTILE or choose in the camera dialog"
     chosen: dict[CameraRole, DeviceInfo] = {}

@@ -298,8 +298,7 @@ def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibrat
     unit_m = float(depth.sensor.as_depth_sensor().get_depth_scale()) if depth.sensor.is_depth_sensor() else 0.0
     if not unit_m > 0.0:
         raise SourceError(
-            f"the {info.title} reports a depth unit of {unit_m:g} m, so its depths are meaningless; "
-            "plug it in again, or update its firmware"
+            f"the {info.title} reports a depth unit of {unit_m:g} m; plug it in again, or update its firmware"
         )
     try:
         camera = DepthCamera(

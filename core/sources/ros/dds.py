@@ -105,8 +105,7 @@ class Participant:
             self._entities.append(Domain(domain, _config(address, also_here)))
         except DDSException as error:
             raise ValueError(
-                f"this computer has no network interface with the address {address}, "
-                f"or another connection of this program uses domain {domain}; choose another"
+                f"there is no network interface {address}, or this program uses domain {domain} already; choose another"
             ) from error
         try:
             self._entities.append(DomainParticipant(domain))
@@ -305,6 +304,5 @@ def _receive_loopback_only(domain: int) -> None:
                 copy.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
             except PermissionError as error:  # Linux before 5.7
                 raise ValueError(
-                    "this version of Linux lets only root limit it to this computer; "
-                    "give the address of a network interface"
+                    "this Linux lets only root limit it to this computer; give a network interface's address"
                 ) from error

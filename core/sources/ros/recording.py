@@ -202,10 +202,7 @@ def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, s
     if pose is None:
         lacks.append(f"no fixed transform joins the cameras ({first} and {second}): calibrate the alignment")
     elif not pose[:3, 3].any():  # two drivers that were left with the same frame names
-        lacks.append(
-            f"both cameras are said to be at the same place (frames {first} and {second}), so the pose between them is "
-            "unknown: calibrate the alignment"
-        )
+        lacks.append(f"both cameras are said to be at one place ({first} and {second}): calibrate the alignment")
     else:
         try:
             return StatedRig(cameras, camera_pose(pose), lacks)

@@ -47,8 +47,7 @@ def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
     seen = float(np.mean(valid_depth(frame.tactile_depth)))
     if seen < _MIN_SEEN:
         raise AdviceError(
-            f"contact test: the tactile camera measures depth in {100 * seen:.0f} % of its image only, so nothing "
-            "tells whether a membrane is there; check the camera"
+            f"contact test: the tactile camera measures depth in only {100 * seen:.0f} % of its image; check the camera"
         )
     bias = scene_bias(*depth_differences(frame, preset, rig))
     curvature_per_m = usable_curvature_per_m(measured_curvature_per_m(frame, preset.alignment, rig))
