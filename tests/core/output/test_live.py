@@ -128,7 +128,7 @@ def test_what_ros_does_not_allow_is_refused(options, sentence):
 
 def test_an_address_that_this_computer_does_not_have_is_named(domain):
     sink = Ros2Sink(domain, host="192.0.2.77")
-    with pytest.raises(PublishError, match=r"no network interface with the address 192\.0\.2\.77"):
+    with pytest.raises(PublishError, match=r"no network interface 192\.0\.2\.77"):
         sink.start()
 
 

@@ -262,7 +262,7 @@ UNITS = {  # unit, proximity, tactile: unit of both in metres or what refuses it
     "no model": (None, LENS, LENS, "unit of the proximity depth is unknown.*--unit", None),
     "one of two": ("tactile=mm", LENS, LENS, "unit of the proximity depth is unknown", None),
     "nonsense": ("inch", LENS, LENS, "is 'inch'", None),
-    "metres for counts": ("m", LENS, LENS, "whole counts", None),
+    "metres for counts": ("m", LENS, LENS, "a count is at most", None),
     "a model with nothing behind it": ("mm", "L515=", LENS, (0.001, 0.001), None),
     "no such lens": ("mm", "none.yaml", LENS, "none.yaml: No such file.*check the path", None),
     "no lens": ("mm", None, LENS, "lens of the proximity camera is unknown", None),

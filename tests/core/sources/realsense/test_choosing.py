@@ -44,7 +44,7 @@ def test_cameras_are_found_by_serial_or_by_model(connected, cameras, expected):
 @pytest.mark.parametrize(
     ("connected", "cameras", "words"),
     [
-        ([], named(), "finds no camera connected: plug both"),
+        ([], named(), "finds no camera; plug both"),
         ([L515], named(), r"a tactile camera is not connected, only L515 \(serial f1\); plug a D405"),
         ([D405], named(), r"a proximity camera is not connected, only D405 \(serial d1\); plug an L515"),
         ([D435, L515], named(), r"a tactile camera is not connected, only D435I .*or name both serials"),
