@@ -64,23 +64,20 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
     image: Literal["depth", "color"] = "depth" if rig.proximity_color is None else "color"
     pairs = [
         PointPair(
+            **dict(zip(_PLACES, places, strict=True)),
             id=f"t{rank}",
-            proximity_u=proximity_u,
-            proximity_v=proximity_v,
-            tactile_u=tactile_u,
-            tactile_v=tactile_v,
-            tactile_depth_m=depth_m,
             proximity_image=image,
             snapshot=int(view),
             origin=f"texture, correlation {likeness:.2f}",
         )
-        for rank, (tactile_u, tactile_v, depth_m, proximity_u, proximity_v, view, likeness) in enumerate(best_first, 1)
+        for rank, (*places, view, likeness) in enumerate(best_first, 1)
     ]
     return pairs, fit.rms_px
 
 
 #: Pairs in rows: tactile pixel and depth, proximity pixel, number of the view, correlation of both patches.
 _NOTHING = np.zeros((0, 7))
+_PLACES = ("tactile_u", "tactile_v", "tactile_depth_m", "proximity_u", "proximity_v")
 
 
 class _View:

@@ -120,14 +120,6 @@ def stamped(template: bytes, stamp_ns: int) -> bytes:
     return template[:4] + struct.pack("<iI", seconds, rest) + template[12:]
 
 
-def image_head(frame_id: str, encoding: str, shape: tuple[int, int], pixel_bytes: int) -> bytes:
-    """Return a serialised image up to its pixels, which follow unchanged."""
-    height, width = shape
-    row_bytes = width * pixel_bytes
-    empty = _message(IMAGE, _header(frame_id), height, width, encoding, 0, row_bytes, np.empty(0, np.uint8))
-    return empty[:-4] + struct.pack("<I", height * row_bytes)
-
-
 def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
     k = lens.camera_matrix()
     return _message(
@@ -382,6 +374,8 @@ def _stream(
     topic: Topic, frame_id: str, encoding: str, lens: Intrinsics, *, of_tactile: bool = False, with_lens: bool = True
 ) -> ImageStream:
     dtype, channels = _PIXELS[encoding]
-    head = image_head(frame_id, encoding, lens.shape, dtype.itemsize * channels)
+    row_bytes = lens.width * dtype.itemsize * channels
+    empty = _message(IMAGE, _header(frame_id), *lens.shape, encoding, 0, row_bytes, np.empty(0, np.uint8))
+    head = empty[:-4] + struct.pack("<I", lens.height * row_bytes)  # up to the pixels, which follow unchanged
     shape = lens.shape if channels == 1 else (*lens.shape, channels)
     return ImageStream(topic, of_tactile, shape, dtype, head, camera_info(frame_id, lens) if with_lens else None)

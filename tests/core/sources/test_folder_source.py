@@ -100,7 +100,7 @@ BAD = {
     ),
     "wrong size": (
         lambda p: write(p / F / "proximity_depth.png", 5, 8),
-        r"proximity_depth\.png is 8 x 5 pixels, but rig\.json says 7 x 5",
+        r"proximity_depth\.png is 8 x 5 pixels, its rig\.json says 7 x 5",
     ),
     "metres are mm": (
         lambda p: (
