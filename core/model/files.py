@@ -14,12 +14,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 from ..errors import ExportError, writing
 
 #: A temporary file that nobody has written to for this time was left by a killed writer, seconds.
 LEFT_S: Final = 3600
+
+
+class Closing:
+    """A context manager that closes itself."""
+
+    def close(self) -> object: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 @contextmanager

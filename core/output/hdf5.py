@@ -17,8 +17,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def export_hdf5(
     untouched = source.untouched() if untouched is None else untouched
     remove_leftovers(Path(path).parent, Path(path).name)
     with atomic_path(path, exclusive=exclusive) as temporary:
-        with _Disk(temporary) as disk, h5py.File(disk, "w") as file:
+        with closing(_Disk(temporary)) as disk, h5py.File(disk, "w") as file:
             count = 0
             for count, frame in enumerate(frames_to_write(source, frames, progress), start=1):
                 frame.check_against(source.rig)
@@ -64,13 +65,7 @@ class _Disk:
         self._file = path.open("w+b", buffering=0)
         self._error: OSError | None = None
         self.seek, self.tell = self._file.seek, self._file.tell
-        self.read, self.readinto = self._file.read, self._file.readinto
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+        self.read, self.readinto, self.close = self._file.read, self._file.readinto, self._file.close
 
     def write(self, data: memoryview) -> int:
         left = memoryview(data)

@@ -22,6 +22,7 @@ from ..contact.pipeline import ContactPatch
 from ..errors import RigMismatchError, closed_on_error
 from ..model.arrays import AnyArray, Float64Array, Uint16Array
 from ..model.clouds import deproject_image
+from ..model.files import Closing
 from ..model.frames import DepthCamera, SensorFrame
 from ..model.patch import Lazy
 from ..model.rig_file import json_text, rig_to_json
@@ -218,7 +219,7 @@ def frame_messages(
     return Messages(builders, stamp_ns)
 
 
-class Publisher:
+class Publisher(Closing):
     """Gives every processed frame to sinks. A context manager.
 
     Raises `PublishError` or `MissingExtraError` where a sink cannot start; those before it are closed again.
@@ -293,12 +294,6 @@ class Publisher:
         """Close all sinks; twice is harmless."""
         while self._outputs:
             self._outputs.pop().close()
-
-    def __enter__(self) -> Publisher:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class _Output:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from mcap.writer import CompressionType, Writer
 
 from ..errors import ExportError, TactuneError, closed_on_error, counted, writing
 from ..model.arrays import Float64Array
-from ..model.files import atomic_path, remove_leftovers, taken, user_path
+from ..model.files import Closing, atomic_path, remove_leftovers, taken, user_path
 from ..model.frames import Rig, SensorFrame
 from ..model.loading import frame_bytes
 from ..model.patch import ContactPatch
@@ -173,7 +173,7 @@ class _Output:
         """Do nothing: the file has no buffer."""
 
 
-class PatchWriter:
+class PatchWriter(Closing):
     """Writes patches, as live connections have them, and with ``poses`` those of an object."""
 
     def __init__(
@@ -206,12 +206,6 @@ class PatchWriter:
             kept = f"; the file holds the {counted(self._bag.chunks, 'frame')} before" if self._bag.chunks else ""
             raise ExportError(f"{error}{kept}") from error
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 #: Patch and findings of a frame, as messages.
 Results = Callable[[SensorFrame], Mapping[str, bytes]]
@@ -235,7 +229,7 @@ class RecordingStatus:
     error: str
 
 
-class SessionWriter:
+class SessionWriter(Closing):
     """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.sources.ros.messages` describes it.
 
     A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, written at once, so a killed
@@ -322,12 +316,6 @@ class SessionWriter:
             self._changed.notify_all()
         self._thread.join()
         return self.status()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _topics(self) -> dict[str, str]:
         topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}

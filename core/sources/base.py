@@ -7,13 +7,13 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, Self
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from ..errors import ExportError, SourceError
 from ..model.arrays import Float64Array
-from ..model.files import recording_files, user_path
+from ..model.files import Closing, recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class CameraOption:
     read_only: bool = False
 
 
-class FrameSource(ABC):
+class FrameSource(Closing, ABC):
     """A sequence of frames from one rig.
 
     A source with a ``length`` can ``seek``; a live one has ``length`` None. `next_frame` may block until the next
@@ -160,12 +160,6 @@ class FrameSource(ABC):
 
     def close(self) -> None:
         """Release files and devices. Closing twice is harmless."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __iter__(self) -> Iterator[SensorFrame]:
         while (frame := self.next_frame()) is not None:
