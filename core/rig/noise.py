@@ -101,7 +101,7 @@ def measure_noise(
     report = progress or (lambda share, words: None)
     different = list({frame.sequence: frame for frame in frames}.values())
     if len(different) < MIN_FRAMES:
-        raise FrameError(f"the noise needs {MIN_FRAMES} different frames, there are {len(different)}; play longer")
+        raise FrameError(f"the noise needs {MIN_FRAMES} different frames at rest, there are {len(different)}; play on")
     for frame in (*different, *([untouched] if untouched is not None else [])):
         frame.check_against(rig)
     report(0.0, "Looking for movement")

@@ -76,7 +76,7 @@ class Study:
                 f"cannot write {self.path}: {error.strerror or error}; trials in it are kept, or choose another --study"
             ) from error
         except Exception as error:  # what Optuna raises for a damaged journal depends on where it is damaged
-            raise TuneError(f"{self.path} is damaged, no search, or in use; choose another --study") from error
+            raise TuneError(f"{self.path} is damaged, not the file of a search, or in use; choose another") from error
 
     def results(self) -> tuple[list[Trial], list[Trial]]:
         """Return the measured trials by number, and those that no other beats, by the first objective."""

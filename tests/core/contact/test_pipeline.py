@@ -139,8 +139,8 @@ def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"proximity_depth": np.zeros((60, 80), np.float32)}, "proximity_depth must be a uint16"),
-        ({"proximity_color": np.zeros((60, 80, 4), np.uint8)}, "3 channels"),
+        ({"proximity_depth": np.zeros((60, 80), np.float32)}, "proximity_depth must be uint16"),
+        ({"proximity_color": np.zeros((60, 80, 4), np.uint8)}, r"uint8, \(H, W, 3\)"),
         ({"tactile_depth": np.zeros((59, 80), np.uint16)}, "80 x 59 pixels.*80 x 60"),
     ],
 )
