@@ -8,9 +8,8 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 from urllib.parse import parse_qsl
@@ -28,7 +27,7 @@ from ..capture.process_source import ProcessSource
 from ..lens_files import camera_info_lens
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .messages import CAMERA_INFO, IMAGE, TRANSFORMS, TYPES, Bag, stamp_ns
-from .recording import NAMING, GapError, StatedRig, Stream, stated_rig
+from .recording import NAMING, GapError, StatedCamera, StatedRig, Stream, stated_rig
 from .topics import COMPRESSED, ImageTopic, Topics, list_topics, split_name, survey
 
 #: Longest search, seconds, and in how many looks nothing new may come before it ends: a busy computer looks rarely.
@@ -41,15 +40,7 @@ _KINDS: Final = (IMAGE, COMPRESSED, CAMERA_INFO)
 _LOOK_S: Final = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """The cameras whose topics were found, and the message types of these."""
-
-    rig: StatedRig
-    types: Mapping[str, str]
-
-
-def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progress) -> Found:
+def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progress) -> StatedRig:
     """Listen until the topics of the cameras are known; `SourceError` names the source and says what was heard."""
     heard = _Heard(listener)
     began_s, quiet = time.monotonic(), 0
@@ -67,7 +58,7 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
                 found, gap = None, str(error)
         time.sleep(_POLL_S)
     if found is not None:
-        return Found(found, heard.types)
+        return found
     if not heard.announced:
         raise SourceError(
             f"{name}: nobody has published in ROS 2 domain {listener.domain} for {_SEARCH_S:.0f} s; start the camera's "
@@ -196,18 +187,18 @@ class Ros2Source(CameraSource):
     """The cameras whose topics were found, paired by the stamps in their headers."""
 
     def __init__(
-        self, name: str, listener: Listener, found: Found, cameras: CamerasSection, progress: Progress | None = None
+        self, name: str, listener: Listener, rig: StatedRig, cameras: CamerasSection, progress: Progress
     ) -> None:
-        self._listener, self._lacks = listener, found.rig.lacks
-        driver = Ros2Driver(listener, found)
+        self._listener, self._lacks = listener, rig.lacks
+        driver = Ros2Driver(listener, rig)
         chosen: dict[str, Any] = {
             role: getattr(cameras, role).model_copy(update={"serial": camera.depth.topic.name, "options": {}})
-            for role, camera in found.rig.cameras.items()
+            for role, camera in rig.cameras.items()
         }
-        roles = tuple(found.rig.cameras)
+        roles = tuple(rig.cameras)
         super().__init__([driver], cameras.model_copy(update=chosen), progress, name=name, roles=roles)
-        if found.rig.pose is not None:  # a rig of one camera has a pose already
-            self.rig = self.rig.model_copy(update={"T_proximity_tactile": found.rig.pose})
+        if rig.pose is not None:  # a rig of one camera has a pose already
+            self.rig = self.rig.model_copy(update={"T_proximity_tactile": rig.pose})
 
     def health(self) -> Health:
         health = super().health()
@@ -229,17 +220,17 @@ class Ros2Driver(CameraDriver):
 
     title = "ROS 2"
 
-    def __init__(self, listener: Listener, found: Found) -> None:
-        self._listener, self._found = listener, found
+    def __init__(self, listener: Listener, stated: StatedRig) -> None:
+        self._listener, self._cameras = listener, stated.cameras
 
     def devices(self) -> list[DeviceInfo]:
-        return [self._info(role) for role in self._found.rig.cameras]
+        return [self._info(role) for role in self._cameras]
 
     def open(self, serial: str, role: CameraRole) -> Camera:
-        return Ros2Camera(self._listener, self._info(role), role, self._found)
+        return Ros2Camera(self._listener, self._info(role), role, self._cameras[role])
 
     def _info(self, role: CameraRole) -> _TopicInfo:
-        camera = self._found.rig.cameras[role]
+        camera = self._cameras[role]
         return _TopicInfo(camera.calibration.depth.model, camera.depth.topic.name, role)
 
 
@@ -254,9 +245,9 @@ class _Message(NamedTuple):
 class _Receiver:
     """Receives the images of a topic."""
 
-    def __init__(self, listener: Listener, stream: Stream, types: Mapping[str, str], camera: str) -> None:
-        self.stream, self._kind, self._camera = stream, types[stream.topic.name], camera
-        self.reader = listener.read(stream.topic.name, self._kind)
+    def __init__(self, listener: Listener, stream: Stream, camera: str) -> None:
+        self.stream, self._camera = stream, camera
+        self.reader = listener.read(stream.topic.name, stream.topic.type)
         self.waiting: deque[_Message] = deque()
         self._infos = listener.read(stream.info, CAMERA_INFO) if stream.info else None
         self._known_lens = b""
@@ -280,16 +271,15 @@ class _Receiver:
 
     def pixels(self, message: _Message) -> AnyArray:
         data = memoryview(message.data)  # bytes would be copied
-        return self.stream.pixels(TYPES.deserialize_cdr(data, self._kind), copy=False)
+        return self.stream.pixels(TYPES.deserialize_cdr(data, self.stream.topic.type), copy=False)
 
 
 class Ros2Camera(Camera):
     """Depth and colour images of one camera, paired by their stamps."""
 
-    def __init__(self, listener: Listener, info: DeviceInfo, role: CameraRole, found: Found) -> None:
-        stated = found.rig.cameras[role]
-        self._depth = _Receiver(listener, stated.depth, found.types, info.title)
-        self._color = None if stated.color is None else _Receiver(listener, stated.color, found.types, info.title)
+    def __init__(self, listener: Listener, info: DeviceInfo, role: CameraRole, stated: StatedCamera) -> None:
+        self._depth = _Receiver(listener, stated.depth, info.title)
+        self._color = None if stated.color is None else _Receiver(listener, stated.color, info.title)
         self._streams = [stream for stream in (self._depth, self._color) if stream is not None]
         self._waiter = Waiter(listener, [stream.reader for stream in self._streams])
         self._number, self._last_s = 0, 0.0

@@ -41,6 +41,7 @@ class ImageTopic:
     """One stream of images. ``info`` is the topic of its lens, or empty; ``frame`` the frame in its headers."""
 
     name: str
+    type: str
     kind: Literal["depth", "color"]
     encoding: str
     width: int
@@ -96,6 +97,7 @@ def survey(bag: Bag) -> tuple[ImageTopic, ...]:
         found.append(
             ImageTopic(
                 topic,
+                bag.types[topic],
                 "depth" if is_depth else "color",
                 image.encoding,
                 image.width,
