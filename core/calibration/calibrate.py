@@ -225,7 +225,7 @@ def _recommend(quality: dict[ModelName, ModelQuality], refused: dict[ModelName, 
     for name, other in (both, both[::-1]):
         if other not in quality:
             return name, f"Recommended: {name}, because no {other} could be fitted: {refused[other]}."
-    plane, rigid = (quality[name].agreement.cross_validated_px for name in both)
+    plane, rigid = (quality[name].cross_validated_px for name in both)
     if rigid is None or plane is None:
         compared = "there are too few points to cross-validate both"
     else:

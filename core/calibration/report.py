@@ -176,16 +176,12 @@ class ModelQuality:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The numbers that a preset keeps, as JSON values; missing ones are None."""
-        return {
-            "rms_px": self.rms_px,
-            "cross_validated_px": self.agreement.cross_validated_px,
-            "alignment_px": self.alignment_px,
-            "alignment_bound_95_px": self.alignment_bound_95_px,
-            "boundary_error_mm": self.boundary_error_mm,
-            "supported_tolerance": self.supported_tolerance,
-            "excluded": list(self.excluded),
-        }
+        """What a preset keeps, as JSON values; missing ones are None."""
+        return {name: getattr(self, name) for name in ModelSummary.model_fields}
+
+    @property
+    def cross_validated_px(self) -> float | None:
+        return self.agreement.cross_validated_px
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from ..errors import PublishError
-from ..sources.ros.dds import Participant, Writer, check_network
+from ..sources.ros.dds import Participant, Writer
 from .messages import SAID_ONCE, ros_topic, type_hash
 from .publisher import LiveMessage, SinkStatus
 
@@ -28,10 +28,6 @@ class Ros2Sink:
         namespace = namespace.strip("/")
         if namespace and not _NAMESPACE.fullmatch(namespace):
             raise PublishError(f"{namespace!r} is no namespace of ROS 2; use letters, digits, _ and /, no digit first")
-        try:
-            check_network(domain, host)
-        except ValueError as error:
-            raise PublishError(str(error)) from error
         self._domain, self._host, self._namespace = domain, host, namespace
         self._writers: dict[str, Writer] = {}
         self._participant: Participant | None = None

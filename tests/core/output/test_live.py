@@ -123,7 +123,7 @@ def test_nothing_listens_or_leaves_unless_asked(processed, domain):
 )
 def test_what_ros_does_not_allow_is_refused(options, sentence):
     with pytest.raises(PublishError, match=sentence):
-        Ros2Sink(**options)
+        Ros2Sink(**options).start()
 
 
 def test_an_address_that_this_computer_does_not_have_is_named(domain):
