@@ -59,8 +59,8 @@ def extra(module: str, what: str, name: str) -> Any:
     """Import a package of an optional extra; `MissingExtraError` says what needs it, and how it is installed."""
     try:
         return import_module(module)
-    except ImportError as error:
-        raise MissingExtraError(f"{what} needs {module}: install it with pip install 'tactune[{name}]'") from error
+    except (ImportError, OSError) as error:  # OSError: a system library is missing
+        raise MissingExtraError(f"{what} needs {module} ({error}): pip install 'tactune[{name}]'") from error
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import MissingExtraError, SourceError, TactuneError, extra, foreign
+from ..errors import SourceError, TactuneError, extra, foreign
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ..model.files import UNITS_M, user_path
 from ..model.frames import pose_matrix
@@ -189,10 +189,6 @@ def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:
 
 
 def import_open3d() -> Any:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ImportWarning)  # a build with CUDA on a computer without
-            import open3d
-    except (ImportError, OSError) as error:  # OSError: a system library is missing
-        raise MissingExtraError(f"tracking needs Open3D ({error}): pip install 'tactune[open3d]'") from error
-    return open3d
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ImportWarning)  # a build with CUDA on a computer without
+        return extra("open3d", "tracking an object", "open3d")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
-from ...errors import SourceError, closed_on_error
+from ...errors import SourceError, closed_on_error, extra
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.loading import decode_image
 from ..base import CameraOption, CameraRole
@@ -92,11 +91,7 @@ class OrbbecDriver(CameraDriver):
 
 def load_sdk() -> Any:
     """Import the SDK, and keep it from writing a log into the folder in which the program was started."""
-    try:
-        sdk: Any = importlib.import_module("pyorbbecsdk")
-    except ImportError as error:
-        remedy = "install it with pip install --no-deps pyorbbecsdk2"
-        raise SourceError(f"Orbbec's SDK cannot be loaded ({error}); {remedy}") from error
+    sdk = extra("pyorbbecsdk", "an Orbbec camera", "orbbec")
     sdk.Context.set_logger_level(sdk.OBLogLevel.NONE)
     return sdk
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import time
 from collections.abc import Callable, Iterable
@@ -13,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from ...errors import MissingExtraError, SourceError
+from ...errors import SourceError, extra
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
@@ -60,18 +59,7 @@ class RealSenseDriver(CameraDriver):
 
 
 def load_driver() -> Any:
-    """Import pyrealsense2; `MissingExtraError` if it is not installed, `SourceError` if it cannot be loaded."""
-    try:
-        return importlib.import_module("pyrealsense2")
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            "live cameras need the driver pyrealsense2: install it with pip install 'tactune[realsense]'"
-        ) from error
-    except ImportError as error:
-        raise SourceError(
-            f"the camera driver pyrealsense2 cannot be loaded ({error}): install the system library that is missing, "
-            "or reinstall it with pip install --force-reinstall 'tactune[realsense]'"
-        ) from error
+    return extra("pyrealsense2", "a RealSense camera", "realsense")
 
 
 def driver_version() -> str:

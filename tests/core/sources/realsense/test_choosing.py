@@ -1,6 +1,5 @@
 """Assignment of devices to roles, and pairing by time, on plain numbers."""
 
-import importlib
 import itertools
 import re
 
@@ -8,6 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tactune.core import errors
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.preset import CameraSection, CamerasSection
 from tactune.core.sources.cameras import realsense as driver
@@ -72,23 +72,15 @@ def test_which_drivers_know_the_l515():
 
 
 @pytest.mark.parametrize(
-    ("error", "kind", "words"),
-    [
-        (
-            ModuleNotFoundError("No module named 'pyrealsense2'"),
-            MissingExtraError,
-            r"pip install 'tactune\[realsense\]'",
-        ),
-        (ImportError("undefined symbol: x"), SourceError, "undefined symbol.*force-reinstall"),
-    ],
+    "error", [ModuleNotFoundError("No module named 'pyrealsense2'"), ImportError("undefined symbol: x\n")]
 )
-def test_a_driver_that_cannot_be_loaded_is_one_sentence(error, kind, words, monkeypatch):
+def test_a_driver_that_cannot_be_loaded_is_one_sentence(error, monkeypatch):
     def refuse(name):
         assert name == "pyrealsense2"
         raise error
 
-    monkeypatch.setattr(importlib, "import_module", refuse)
-    with pytest.raises(kind, match=words) as caught:
+    monkeypatch.setattr(errors, "import_module", refuse)
+    with pytest.raises(MissingExtraError, match=r"(No module|symbol: x).*pip install 'tactune\[realsense\]'") as caught:
         driver.load_driver()
     assert re.search(r"[\n]", str(caught.value)) is None
 
