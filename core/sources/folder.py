@@ -120,7 +120,7 @@ def read_values(path: Path) -> AnyArray:
     if image.dtype.kind == "f" and image.ndim == 2:
         return image.astype(np.float64)
     raise SourceError(
-        f"{path} has {image.dtype}, {image.shape}; save depth itself: one channel of 16 bits or floating-point values"
+        f"{path} has {image.dtype}, {image.shape}; save depth itself, one channel of 16 bits or floating-point values"
     )
 
 
