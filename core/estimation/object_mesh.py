@@ -13,10 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import SourceError, TactuneError, extra, foreign
+from ..errors import SourceError, extra
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ..model.files import UNITS_M, user_path
 from ..model.frames import pose_matrix
+from ..sources.ros_image import damage_told
 from ..sources.simulator.scenes import Scene
 
 #: Suffixes of meshes.
@@ -140,7 +141,7 @@ def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
         raise SourceError(f"cannot read {path}: there is no such file; check the path")
     trimesh = extra("trimesh", "a mesh", "open3d")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
-    try:
+    with damage_told(path, f"it is no readable {path.suffix} mesh"):
         scene = trimesh.load_scene(path, process=False)
         meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
         for mesh in meshes:
@@ -148,11 +149,6 @@ def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
                 raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
             if not (np.abs(mesh.vertices[np.unique(mesh.faces)]) < _FARTHEST).all():
                 raise SourceError(f"{path} has vertices that are nan or beyond {_FARTHEST:g}; export it again")
-    except TactuneError:
-        raise
-    except Exception as error:  # trimesh does not wrap those of its parsers
-        detail = foreign(error) or type(error).__name__
-        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
     if not meshes:
         raise SourceError(f"{path} has no triangles; export it as a mesh, not as points")
     return meshes

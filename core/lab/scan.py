@@ -27,6 +27,7 @@ from ..model.frames import Matrix4, rigid_transform
 from ..model.loading import read_file
 from ..model.metrics import symmetric_rmse_m
 from ..preset import MaskSection
+from ..sources.ros_image import damage_told
 
 SUFFIXES: Final = (".ply", ".obj")
 #: Largest file of a pose.
@@ -84,10 +85,8 @@ def _subdivided(mesh: Any, path: Path | str) -> Any:
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's placeholder has no format
         raise SourceError(f"the texture of {path} is missing or damaged; put its image and .mtl beside it")
-    try:
+    with damage_told(Path(path), "its texture is damaged"):
         image.load()  # until now Pillow has read the image's header only
-    except (OSError, ValueError, SyntaxError) as error:
-        raise SourceError(f"the texture of {path} is damaged ({error}); export the scan again") from error
     corners = np.asarray(mesh.vertices)[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     edge = _TEXTURE_EDGE_M
