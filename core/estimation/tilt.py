@@ -294,8 +294,7 @@ def _shared_by_cells(length_px: float, size_px: float, count: int) -> Float64Arr
     twice = math.sqrt(math.pi) / 2 * distance * erf(distance) + np.exp(-(distance**2)) / 2
     means = np.diff(twice, 2) * (2 * length_px / size_px) ** 2
     steps = np.arange(count)
-    result: Float64Array = means[np.abs(steps[:, None] - steps)]
-    return result
+    return np.asarray(means[np.abs(steps[:, None] - steps)])
 
 
 def _angles(plane: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -186,13 +186,9 @@ def _project(points: AnyArray, camera: Intrinsics, dtype: Any) -> tuple[AnyArray
         two = dtype(2)
         r2 = x * x + y * y
         radial = dtype(1) + ((k3 * r2 + k2) * r2 + k1) * r2
-        if camera.distortion is Distortion.BROWN_CONRADY:
-            dx = two * p1 * x * y + p2 * (r2 + two * x * x)
-            dy = two * p2 * x * y + p1 * (r2 + two * y * y)
-            x, y = x * radial + dx, y * radial + dy
-        else:
-            x, y = x * radial, y * radial
-            dx = two * p1 * x * y + p2 * (r2 + two * x * x)
-            dy = two * p2 * x * y + p1 * (r2 + two * y * y)
-            x, y = x + dx, y + dy
+        if camera.distortion is not Distortion.BROWN_CONRADY:  # the tangential part follows the radial one
+            x, y, radial = x * radial, y * radial, dtype(1)
+        dx = two * p1 * x * y + p2 * (r2 + two * x * x)
+        dy = two * p2 * x * y + p1 * (r2 + two * y * y)
+        x, y = x * radial + dx, y * radial + dy
     return x * dtype(camera.fx) + dtype(camera.cx), y * dtype(camera.fy) + dtype(camera.cy)

@@ -207,8 +207,7 @@ def frame_messages(
     if tilt is not None:
         builders |= {Topic.TILT: partial(angles, tilt, ""), Topic.TILT_SIGMA: partial(angles, tilt, "_sigma")}
     if rig.has_proximity:
-        near = frame.proximity_depth, rig.proximity, stamp_ns, PROXIMITY_FRAME
-        builders[Topic.PROXIMITY_CLOUD] = partial(cloud, *near)
+        builders[Topic.PROXIMITY_CLOUD] = lambda: cloud(frame.proximity_depth, rig.proximity, stamp_ns, PROXIMITY_FRAME)
     streams = messages.image_streams(rig)
     for topic, pixels in messages.images_of(frame, rig):
         stream = streams[topic]

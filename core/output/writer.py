@@ -372,8 +372,7 @@ class SessionWriter(Closing):
     def _next(self) -> SensorFrame | None:
         """Wait for a frame; None when the recording is closed and all are written."""
         with self._changed:
-            while not self._queue and not self._closing:
-                self._changed.wait()
+            self._changed.wait_for(lambda: self._queue or self._closing)
             if not self._queue:
                 return None
             frame, size = self._queue.popleft()

@@ -249,7 +249,7 @@ def export_folder(
     try:
         with writing(target):
             if target.exists() and (not target.is_dir() or any(target.iterdir())):
-                raise ExportError(f"{target} is already there and no empty folder; choose another name or remove it")
+                raise ExportError(f"{target} is already there, not an empty folder; choose another name or remove it")
             remove_leftovers(target.parent, f"{target.name}.partial")
             temporary.mkdir(parents=True)
             count = _write_recording(source, temporary, frames_to_write(source, frames, progress))

@@ -50,10 +50,9 @@ class Pairer(Generic[Item]):
                 break
             else:
                 found.append((self._first.pop(0), self._second.pop(0)))
-        while self._first and now_s - self._first[0].arrival_s > self.patience_s:
-            self._drop(self._first)
-        while self._second and now_s - self._second[0].arrival_s > self.patience_s:
-            self._drop(self._second)
+        for stream in (self._first, self._second):
+            while stream and now_s - stream[0].arrival_s > self.patience_s:
+                self._drop(stream)
         return found
 
     @staticmethod

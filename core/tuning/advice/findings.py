@@ -17,7 +17,7 @@ from ...contact.membrane.frame_bias import UNKNOWN_BIAS_M, rig_bias
 from ...contact.membrane.section import USUAL_GAP_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
-from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus
+from ...errors import AdviceError, FrameError, RigMismatchError, counted, minus
 from ...model.arrays import BoolArray, median
 from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame
@@ -332,7 +332,6 @@ class Examiner:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._pipeline: ContactPipeline | None = None
-        self._untouched: SensorFrame | None = None
 
     def findings(
         self, frame: SensorFrame, patch: ContactPatch, preset: Preset, untouched: SensorFrame | None = None
@@ -343,14 +342,10 @@ class Examiner:
         """
         before: ContactPatch | None = None
         if untouched is not None:
-            try:
-                if self._pipeline is None or untouched is not self._untouched:
-                    self._untouched = untouched
-                    self._pipeline = ContactPipeline(preset, self._rig, untouched)
-                elif self._pipeline.preset is not preset:
-                    self._pipeline.update(preset)
-                before = self._pipeline.process(untouched)
-            except TactuneError:  # it does not fit the rig
-                self._pipeline = None
+            if self._pipeline is None or untouched is not self._pipeline.untouched:
+                self._pipeline = ContactPipeline(preset, self._rig, untouched)
+            elif self._pipeline.preset is not preset:
+                self._pipeline.update(preset)
+            before = self._pipeline.process(untouched)
         situation = Situation(frame, patch, preset, self._rig, untouched, before)
         return tuple(finding for check in CHECKS if (finding := check(situation)) is not None)
