@@ -106,12 +106,10 @@ class Intrinsics(Frozen):
     def _distort(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array]:
         r2 = x * x + y * y
         radial = self._radial(r2)
-        if self.distortion is Distortion.BROWN_CONRADY:
-            dx, dy = self._tangential(x, y, r2)
-            return x * radial + dx, y * radial + dy
-        x, y = x * radial, y * radial
+        if self.distortion is not Distortion.BROWN_CONRADY:  # the tangential part follows the radial one
+            x, y, radial = x * radial, y * radial, 1.0
         dx, dy = self._tangential(x, y, r2)
-        return x + dx, y + dy
+        return x * radial + dx, y * radial + dy
 
     @np.errstate(all="ignore")  # it diverges where a lens folds
     def _undistort(self, x0: Float64Array, y0: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -119,9 +117,7 @@ class Intrinsics(Frozen):
         for _ in range(_UNDISTORT_STEPS):
             r2 = x * x + y * y
             radial = self._radial(r2)
-            if self.distortion is Distortion.INVERSE_BROWN_CONRADY:
-                dx, dy = self._tangential(x * radial, y * radial, r2)
-            else:
-                dx, dy = self._tangential(x, y, r2)
+            scale = radial if self.distortion is Distortion.INVERSE_BROWN_CONRADY else 1.0
+            dx, dy = self._tangential(x * scale, y * scale, r2)
             x, y = (x0 - dx) / radial, (y0 - dy) / radial
         return x, y

@@ -16,8 +16,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -69,25 +69,24 @@ class _Disk:
 
     def write(self, data: memoryview) -> int:
         left = memoryview(data)
-        self._try(lambda: self._write_all(left))
-        return len(left)
-
-    def _write_all(self, left: memoryview) -> None:
-        while left:
-            left = left[self._file.write(left) :]
+        with self._kept():
+            while left:
+                left = left[self._file.write(left) :]
+        return len(data)
 
     def truncate(self, size: int) -> None:
-        self._try(lambda: self._file.truncate(size))
+        with self._kept():
+            self._file.truncate(size)
 
     def flush(self) -> None:
         """Do nothing: the file has no buffer."""
 
-    def _try(self, work: Callable[[], object]) -> None:
-        if self._error is None:
-            try:
-                work()
-            except OSError as error:
-                self._error = error
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._error = error
 
     def check(self) -> None:
         """Raise the error of a write that failed."""

@@ -9,9 +9,8 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
-from pydantic import ValidationError
 
-from ...errors import SourceError, closed_on_error, extra
+from ...errors import SourceError, closed_on_error, extra, foreign
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.loading import decode_image
 from ..base import CameraOption, CameraRole
@@ -202,8 +201,9 @@ class OrbbecCamera(Camera):
                 return Calibration(camera)
             self._color_lens = _lens(color)
             return Calibration(camera, self._color_lens.intrinsics, _pose(depth, color))
-        except (ValidationError, ValueError, SourceError) as error:
-            raise SourceError(f"the {info.title} reports an impossible lens, pose or depth unit ({error})") from error
+        except (ValueError, SourceError) as error:
+            told = f"an impossible lens, pose or depth unit ({foreign(error)}); update its firmware"
+            raise SourceError(f"the {info.title} reports {told}") from error
 
 
 def _lens(frame: Any) -> Lens:

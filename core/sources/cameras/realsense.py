@@ -10,9 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
-from ...errors import SourceError, extra
+from ...errors import SourceError, extra, foreign
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
@@ -284,10 +283,6 @@ def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibrat
     """Return the device's lenses, their pose and its depth unit; `SourceError` if these are not possible."""
     depth, color = streams["depth"], streams["color"]
     unit_m = float(depth.sensor.as_depth_sensor().get_depth_scale()) if depth.sensor.is_depth_sensor() else 0.0
-    if not unit_m > 0.0:
-        raise SourceError(
-            f"the {info.title} reports a depth unit of {unit_m:g} m; plug it in again, or update its firmware"
-        )
     try:
         camera = DepthCamera(
             model=info.model,
@@ -296,8 +291,9 @@ def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibrat
             depth_unit_m=float(f"{unit_m:.7g}"),  # the driver keeps it in single precision
         )
         return Calibration(camera, _lens(color.profile), _pose(depth.profile, color.profile))
-    except (ValidationError, ValueError) as error:
-        raise SourceError(f"the {info.title} reports a lens or pose that cannot be ({error}); calibrate it") from error
+    except ValueError as error:
+        told = f"an impossible lens, pose or depth unit ({foreign(error)}); update its firmware, or calibrate it"
+        raise SourceError(f"the {info.title} reports {told}") from error
 
 
 def _lens(profile: Any) -> Intrinsics:

@@ -106,7 +106,7 @@ def test_options_of_the_preset_are_set_before_the_first_image_and_refusals_are_t
 def test_a_device_without_depth_unit_is_refused():
     rig = SoftwareRig()
     rig.cameras["tactile"] = SoftwareCamera("tactile", unit_m=0.0)
-    with pytest.raises(SourceError, match=r"D405 .*reports a depth unit of 0 m"):
+    with pytest.raises(SourceError, match=r"D405 .*reports an impossible lens, pose or depth unit .*depth_unit_m"):
         open_rig(rig)
 
 
