@@ -142,6 +142,11 @@ def recording_files(text: str) -> tuple[Path, ...]:
     return ()
 
 
+def recording_paths(text: str) -> tuple[Path, ...]:
+    """Return the file, the folder, or the two files that a name means, also where there are none."""
+    return recording_files(text) or (user_path(text),)
+
+
 def path_exists(path: Path | str) -> bool:
     """Return whether there is something at a path; no for a path that the operating system refuses to look at."""
     try:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import SourceError, closed_on_error, foreign
 from ..model.arrays import AnyArray, Float64Array
-from ..model.files import recording_files, user_path
+from ..model.files import recording_paths
 from ..model.frames import DepthCamera, camera_pose, pose_matrix
 from ..model.intrinsics import Distortion, Intrinsics
 from .base import Progress, part_of
@@ -45,9 +45,7 @@ class BagSource(RecordedSource):
 
     def __init__(self, name: Path | str, progress: Progress | None = None) -> None:
         text = str(name)
-        paths = recording_files(text)
-        if not paths:
-            raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
+        paths = recording_paths(text)
         with ExitStack() as resources:
             recordings = [
                 resources.enter_context(closing(open_recording(path, part_of(progress, number, len(paths)))))
@@ -64,10 +62,7 @@ class BagSource(RecordedSource):
 
 def is_realsense(text: str) -> bool:
     """Whether a name is that of librealsense's recordings: their topics begin with a device's number."""
-    paths = recording_files(text)
-    if not paths:
-        return True  # it is told that there is none
-    with closing(open_bag(paths)) as bag:
+    with closing(open_bag(recording_paths(text))) as bag:
         return any(topic.startswith("/device_") for topic in bag.types)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import SourceError, foreign
 from ...model.arrays import AnyArray, Float64Array, Uint8Array
-from ...model.files import recording_files, user_path
+from ...model.files import recording_paths
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ..base import CameraRole, Progress, part_of
 from ..cameras.camera import Calibration
@@ -109,7 +109,7 @@ class Inspection:
 
 def inspect_recording(text: str, progress: Progress | None = None) -> Inspection | None:
     """Return what there is to choose from; None where the topics have been chosen before."""
-    paths = _paths(text)
+    paths = recording_paths(text)
     path = paths[0]
     if load_topics(path):
         return None
@@ -136,11 +136,6 @@ def _picture(bag: Bag, image: ImageTopic) -> Uint8Array:
         pixels = np.dstack([shade.astype(np.uint8)] * 3)
     scale = _PICTURE_PX / max(shape)
     return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _paths(text: str) -> tuple[Path, ...]:
-    """Return the file, the folder, or the two files that a name means."""
-    return recording_files(text) or (user_path(text),)
 
 
 class Stream(NamedTuple):
@@ -272,7 +267,7 @@ class RosSource(RecordedSource):
 
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
-        paths = _paths(text)
+        paths = recording_paths(text)
         self._path, name = paths[0], f"{scheme}:{text}"
         with ExitStack() as resources:
             self._bag = open_bag(paths, progress)
