@@ -143,18 +143,12 @@ class Messages:
     """
 
     def __init__(self, builders: Mapping[str, Callable[[], bytes | None]], stamp_ns: int) -> None:
-        self.builders, self.stamp_ns = builders, stamp_ns
-        self._built: dict[str, LiveMessage | None] = {}
-        self._lock = threading.Lock()
+        self.parts, self.stamp_ns = {topic: Lazy(build) for topic, build in builders.items()}, stamp_ns
 
     def get(self, topic: str) -> LiveMessage | None:
         """Return the message of one of the topics, or None if there is none this time."""
-        with self._lock:
-            if topic not in self._built:
-                data = self.builders[topic]()
-                message = None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
-                self._built[topic] = message
-            return self._built[topic]
+        data = self.parts[topic].get()
+        return None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
 
 
 def frame_messages(
@@ -348,10 +342,10 @@ class _Output:
             return kind, self._waiting.pop(kind)
 
     def _send(self, kind: str, built: Messages) -> None:
-        if new := {topic: LIVE_TOPICS[topic] for topic in built.builders if topic not in self._announced}:
+        if new := {topic: LIVE_TOPICS[topic] for topic in built.parts if topic not in self._announced}:
             self.sink.announce(new)
             self._announced |= new.keys()
-        wanted = [topic for topic in self.sink.wanted() if topic in built.builders]
+        wanted = [topic for topic in self.sink.wanted() if topic in built.parts]
         due = [topic for topic in wanted if self._is_due(topic, built.stamp_ns)]
         found = [message for topic in due if (message := built.get(topic)) is not None]
         if not found:
