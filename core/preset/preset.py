@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, Literal
 
@@ -195,17 +196,15 @@ def json_or_word(text: str) -> Any:
 def preset_paths() -> list[str]:
     """Return the dotted path of every field that can be set by itself."""
 
-    def walk(model: Any, prefix: str) -> list[str]:
-        paths = []
+    def walk(model: Any, prefix: str) -> Iterator[str]:
         for name, field in model.model_fields.items():
             inner = field.annotation
             if isinstance(inner, type) and hasattr(inner, "model_fields"):
-                paths += walk(inner, f"{prefix}{name}.")
+                yield from walk(inner, f"{prefix}{name}.")
             else:
-                paths.append(prefix + name)
-        return paths
+                yield prefix + name
 
-    return walk(Preset, "")
+    return list(walk(Preset, ""))
 
 
 def _plain(value: Any) -> Any:
