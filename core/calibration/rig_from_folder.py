@@ -284,9 +284,7 @@ def _unit(
             f"as mm, or as metres per count such as {said}=0.00025 (--unit)"
         )
     if not is_float and unit_m > MAX_UNIT_M:
-        raise CalibrationError(
-            f"the unit says {unit_m:g} m for {said}; a count is at most {MAX_UNIT_M * 1e3:g} mm, such as mm (--unit)"
-        )
+        raise CalibrationError(f"the unit of {said} is {unit_m:g} m; it is at most {MAX_UNIT_M * 1e3:g} mm (--unit)")
     known = (image > 0) if is_float else valid_depth(image)
     half_m = float(np.median(image[known])) * unit_m if known.any() else float("nan")
     draft.notes.append(f"{said}: depth unit {unit_m * 1e3:g} mm ({why}); half of the depths are below {half_m:.3f} m")
@@ -406,9 +404,7 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
         )
     uncertain = min(focal_sd_px / focal_px, 1.0)
     if not uncertain <= _MAX_FOCAL_SHARE:
-        raise CalibrationError(
-            f"{folder}: fx is uncertain by {uncertain:.0%}; tilt the board by 20 degrees or more, each time another way"
-        )
+        raise CalibrationError(f"{folder}: fx is uncertain by {uncertain:.0%}; tilt the board by 20 degrees each way")
     lens = make_lens("plumb_bob", distortion.ravel()[:5].tolist(), K.ravel().tolist(), size).intrinsics
     check_lens(lens, str(folder))
     return LensFit(lens, float(rms), focal_sd_px, len(found), refused)

@@ -119,9 +119,7 @@ def read_values(path: Path) -> AnyArray:
         return image.astype(np.uint16)
     if image.dtype.kind == "f" and image.ndim == 2:
         return image.astype(np.float64)
-    raise SourceError(
-        f"{path} has {image.dtype}, {image.shape}; save depth itself, one channel of 16 bits or floating-point values"
-    )
+    raise SourceError(f"{path} has {image.dtype}, {image.shape}; save depth in one channel of 16 bits or as floats")
 
 
 def read_color(path: Path, shape: tuple[int, int], lens: Lens) -> Uint8Array:

@@ -120,9 +120,7 @@ def _foreign(path: Path) -> Layout:
             "images in folders or files named depth; open the folder in which depth and rgb lie"
         )
     if "tactile_depth" not in found and "prox" in str(found["proximity_depth"][0].path.relative_to(path)).lower():
-        raise SourceError(
-            f"{path} has depth of the proximity camera only; copy the other's, or name that of the only camera depth"
-        )
+        raise SourceError(f"{path} has depth of the proximity camera only; copy the other's, or call it depth")
     if "proximity_depth" not in found:  # the only camera
         found = {slot.replace("tactile", "proximity"): images for slot, images in found.items()}
     is_tum = any(image.path in listed for image in found["proximity_depth"])

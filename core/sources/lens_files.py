@@ -97,9 +97,7 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
         return Lens(_intrinsics(pinhole))
     if name not in _PINHOLE or d.size not in _COUNTS:
         known = ", ".join(("none", "plumb_bob", "rational_polynomial", "thin_prism", "equidistant"))
-        raise SourceError(
-            f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is unknown; known are {known}"
-        )
+        raise SourceError(f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is not among {known}")
     if not d[5:].any():
         brown = tuple(np.pad(d, (0, 5))[:5].tolist())
         return Lens(_intrinsics({**pinhole, "distortion": Distortion.BROWN_CONRADY, "coefficients": brown}))
@@ -212,9 +210,7 @@ def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) 
     fitting = named or [lens for lens in lenses if lens.size in (None, size)] or list(lenses)
     if len(fitting) > 1:
         path, names = lenses[0].path, [foreign(lens.name.split(" ")[0], 40) for lens in lenses[:4]]
-        raise SourceError(
-            f"{path} has {len(lenses)} cameras ({', '.join(names)}); name the one of {role}, as in {path}:{names[0]}"
-        )
+        raise SourceError(f"{path} has several cameras ({', '.join(names)}); name that of {role} as {path}:{names[0]}")
     return fitting[0]
 
 

@@ -96,7 +96,7 @@ BAD = {
     ),
     "wrong bit depth": (
         lambda p: write(p / F / "tactile_depth.png", 4, 6, dtype=np.uint8),
-        r"tactile_depth\.png has uint8, .*; save depth itself, one channel of 16 bits",
+        r"tactile_depth\.png has uint8, .*; save depth in one channel of 16 bits",
     ),
     "wrong size": (
         lambda p: write(p / F / "proximity_depth.png", 5, 8),
