@@ -134,10 +134,7 @@ def _try_rigid(points: PointArrays, ids: list[str], rig: Rig) -> tuple[Fit | Non
     """Return the rigid fit, the offset that the pairs show, and why there is no fit."""
     known = np.isfinite(points.tactile_depth_m)
     if known.sum() < 4 <= len(points):
-        reason = (
-            f"only {known.sum()} of the {len(points)} pairs have a tactile depth, a rigid alignment needs 4; "
-            "click where the tactile camera sees depth"
-        )
+        reason = f"only {known.sum()} of {len(points)} pairs have tactile depth, not 4; click where there is depth"
         return None, None, reason
     points, names = points.keep(known), [name for name, has in zip(ids, known, strict=True) if has]
     offset: DepthOffset | None = None

@@ -398,10 +398,7 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     jacobians = [cv2.projectPoints(board, *pose, K, distortion)[1] for pose in zip(turns, shifts, strict=True)]
     focal_sd_px = _focal_sd(jacobians, max(rms / math.sqrt(2), _CORNER_PX))
     if not (rms <= _MAX_RMS_PX and focal_px > 0):
-        raise CalibrationError(
-            f"{folder}: the corners miss the fitted lens by {rms:.1f} px (RMS); check that the board is flat and that "
-            "one camera took all pictures"
-        )
+        raise CalibrationError(f"{folder}: corners miss the lens by {rms:.1f} px; use a flat board and one camera")
     uncertain = min(focal_sd_px / focal_px, 1.0)
     if not uncertain <= _MAX_FOCAL_SHARE:
         raise CalibrationError(f"{folder}: fx is uncertain by {uncertain:.0%}; tilt the board by 20 degrees each way")

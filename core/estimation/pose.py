@@ -158,10 +158,7 @@ class PoseTracker:
         """
         tiles = patch_points(patch.points, self._rig, self._density_m4)
         if len(tiles.points) < _MIN_TILES:
-            raise CalibrationError(
-                f"the patch is too small to find {self.mesh.name}: {len(tiles.points)} image tiles of contact, at "
-                f"least {_MIN_TILES} are needed; press it deeper"
-            )
+            raise CalibrationError(f"the patch is too small to find {self.mesh.name}; press it deeper")
         found = self._search(patch, tiles, progress).everywhere(None)
         if _is_lost(found):
             raise CalibrationError(

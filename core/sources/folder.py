@@ -129,10 +129,7 @@ def read_color(path: Path, shape: tuple[int, int], lens: Lens) -> Uint8Array:
         image = (image >> 8).astype(np.uint8)
     channels = image.shape[2] if image.ndim == 3 else 1
     if image.dtype != np.uint8 or channels not in _TO_RGB or path.suffix.lower() == ".npy":
-        raise SourceError(
-            f"{path} has {channels} channels of {image.dtype.itemsize * 8} bits, but colour is a PNG or JPEG of 8 bits "
-            "with 1, 3 or 4 channels; save it in that form"
-        )
+        raise SourceError(f"{path} has {image.dtype}, {image.shape}; save colour as PNG or JPEG, 8 bits a channel")
     rgb = np.asarray(cv2.cvtColor(image, _TO_RGB[channels]), np.uint8)
     return np.ascontiguousarray(lens.rectify(rgb))
 

@@ -195,10 +195,7 @@ def read_lenses(path: Path) -> list[StatedLens]:
         text = read_file(path, _MAX_BYTES.get(suffix, _MAX_TEXT_BYTES)).decode("utf-8-sig")
         lenses = _cameras(path, _parse(text, suffix))
     if not lenses:
-        raise SourceError(
-            f"{path} states no lens: no camera_matrix, K, intrinsics or fx; known are ROS camera_info, Kalibr's "
-            "camchain, OpenCV's YAML and XML, and text with K"
-        )
+        raise SourceError(f"{path} states no lens; known are camera_info, Kalibr's, OpenCV's YAML and XML, text with K")
     return lenses
 
 

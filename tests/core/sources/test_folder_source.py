@@ -116,7 +116,7 @@ BAD = {
     ),
     "pose of 2 m": (
         lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]),
-        r"rig\.json: T_proximity_tactile is .*at most 1 m apart, the translation here is 2 0 1: is it in mm",
+        r"rig\.json: T_proximity_tactile is .*the cameras are 2.23607 m apart, at most 1 m; is it in mm",
     ),
 }
 
