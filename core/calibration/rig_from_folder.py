@@ -385,8 +385,7 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     if len(found) < _MIN_PICTURES or size is None:
         why = "".join(f" ({name}: {sentence})" for name, sentence in list(refused.items())[:1])
         raise CalibrationError(
-            f"{folder}: a whole chessboard of {columns} x {rows} inner corners is in {len(found)} of {len(paths)} "
-            f"pictures, but {_MIN_PICTURES} are needed{why}"
+            f"{folder}: {len(found)} of {len(paths)} pictures show the board, not {_MIN_PICTURES}{why}"
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)

@@ -85,7 +85,7 @@ def test_split_files_open_without_metadata_as_a_folder_or_as_two_paths(tmp_path,
                 [1000, 1000.1, 1000.2, 1001, 1001.1, 1001.2]
             )
     parts[1].rename(folder / f"walk_0{''.join(parts[1].suffixes)}")
-    with pytest.raises(SourceError, match=r"files of 2 recordings \(drive, walk\); choose the files of one"):
+    with pytest.raises(SourceError, match=r"2 recordings and no readable metadata.yaml; choose one's files"):
         open_source(str(folder))
 
 
