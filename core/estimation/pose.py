@@ -22,7 +22,6 @@ from ..model.patch import ContactPatch
 from ..preset import Preset
 from .object_mesh import ObjectMesh, import_open3d
 from .pose_fit import (
-    ON_MESH_M,
     Fit,
     Membrane,
     PatchPoints,
@@ -161,11 +160,7 @@ class PoseTracker:
             raise CalibrationError(f"the patch is too small to find {self.mesh.name}; press it deeper")
         found = self._search(patch, tiles, progress).everywhere(None)
         if _is_lost(found):
-            raise CalibrationError(
-                f"the mesh {self.mesh.name} does not fit the contact: at best {100 * found.overlap:.0f} % of the "
-                f"patch lies within {1e3 * ON_MESH_M:g} mm of it, and the two-way residual is {1e3 * found.cost_m:.1f} "
-                "mm; check that it is the mesh of this object and its unit"
-            )
+            raise CalibrationError(f"the mesh {self.mesh.name} does not fit the contact; check mesh and unit")
         self.start(found.pose)
         return found.pose
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from ..errors import SourceError, counted
+from ..errors import SourceError
 from ..model.arrays import Float64Array
 from ..model.loading import read_file
 from .base import PROXIMITY_NAMES, TACTILE_NAMES
@@ -139,10 +139,7 @@ def _paired(path: Path, name: str, found: dict[str, list[_Image]]) -> Layout:
         kept, other = _together(first, found["tactile_depth"])
         unmatched = len(first) + len(found["tactile_depth"]) - 2 * len(kept)
         if not kept:
-            raise SourceError(
-                f"{path}: none of the {counted(len(first), 'depth image')} of proximity ({first[0].path.name}, …) has "
-                f"a partner of tactile ({found['tactile_depth'][0].path.name}, …) by number or time; rename them"
-            )
+            raise SourceError(f"{path}: no proximity depth has a tactile partner by number or time; rename them")
         partners["tactile_depth"] = other
     depth = {"proximity": [first[index] for index in kept]}
     depth["tactile"] = [found["tactile_depth"][index] for index in partners.get("tactile_depth", ())]

@@ -81,10 +81,7 @@ def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
     if free is None and not _one_colour(colours.core):
         raise AdviceError("mask: in this frame prints can't be told from contact; capture an untouched frame")
     if len(colours.core) < _MIN_PRINT_PIXELS:
-        raise AdviceError(
-            f"mask: only {len(colours.core)} pixels outside contact have a proximity depth on the membrane, so no "
-            "print reflects infrared; leave the mask off, or check the alignment if you see false contact on prints"
-        )
+        raise AdviceError(f"mask: {len(colours.core)} pixels are prints, so no print reflects infrared; leave it off")
     section = _widest(colours)
     covered, lost = colours.shares(section)
     if covered - lost < _MIN_GAIN:

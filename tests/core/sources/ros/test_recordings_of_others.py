@@ -335,7 +335,7 @@ def test_only_images_half_a_period_apart_by_their_own_stamps_are_a_frame(tmp_pat
     with open_source(str(make_recording(tmp_path / "stopped", [near, stopped]))) as source:
         assert source.length == 2 and source.health().unmatched == 2
     ahead = depth(TOUCH, "b_optical", 390, stamps_s=(60.1, 60.2))
-    with pytest.raises(SourceError, match=r"about 60 s apart; choose recordings of the same time"):
+    with pytest.raises(SourceError, match=r"about 60 s apart; choose others"):
         open_source(str(make_recording(tmp_path / "ahead", [near, ahead])))
 
 
