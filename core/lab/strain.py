@@ -316,13 +316,9 @@ def _vector(
 ) -> Float64Array:
     """Return the predicted step from a cell to its neighbour: the mean of parallel steps nearby."""
     row, column = cell
-    aside = (step[1], step[0])
     ways = []
-    for start in (
-        (row - step[0], column - step[1]),
-        (row + aside[0], column + aside[1]),
-        (row - aside[0], column - aside[1]),
-    ):
+    for by in ((-step[0], -step[1]), (step[1], step[0]), (-step[1], -step[0])):  # behind, and on both sides
+        start = row + by[0], column + by[1]
         end = start[0] + step[0], start[1] + step[1]
         if start in piece and end in piece:
             ways.append(pixels[piece[end]] - pixels[piece[start]])
