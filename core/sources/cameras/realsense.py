@@ -150,15 +150,12 @@ class RealSenseCamera(Camera):
     def __init__(self, driver: Any, device: Any, info: DeviceInfo, role: CameraRole) -> None:
         self._driver = driver
         try:
-            streams = _find_streams(device, info)
-            super().__init__(info, role, _read_calibration(streams, info), float(RATE_HZ))
-            self._depth_sensor = streams["depth"].sensor
-            self._sensors: list[tuple[Any, list[Any]]] = []  # a D405 has one for both streams
-            for sensor, profile in (streams["depth"], streams["color"]):
-                if self._sensors and self._sensors[-1][0] is sensor:
-                    self._sensors[-1][1].append(profile)
-                else:
-                    self._sensors.append((sensor, [profile]))
+            depth, color = _find_streams(device, info)
+            super().__init__(info, role, _read_calibration(depth, color, info), float(RATE_HZ))
+            self._depth_sensor = depth.sensor
+            self._sensors = [(depth.sensor, [depth.profile]), (color.sensor, [color.profile])]
+            if depth.sensor is color.sensor:  # as in a D405
+                self._sensors = [(depth.sensor, [depth.profile, color.profile])]
             needed = {driver.option.global_time_enabled: 1.0, driver.option.frames_queue_size: float(_POOL)}
             for sensor, _ in self._sensors:
                 for option, value in needed.items():
@@ -256,7 +253,7 @@ class RealSenseCamera(Camera):
         return self.info.model == "L515"
 
 
-def _find_streams(device: Any, info: DeviceInfo) -> dict[str, _Stream]:
+def _find_streams(device: Any, info: DeviceInfo) -> tuple[_Stream, _Stream]:
     """Return the depth and the colour stream in the needed mode; `SourceError` names the modes that there are."""
     found: dict[str, _Stream] = {}
     modes = set()
@@ -276,12 +273,11 @@ def _find_streams(device: Any, info: DeviceInfo) -> dict[str, _Stream]:
                 f"the {info.title} offers no {kind} stream of {WIDTH} x {HEIGHT} at {RATE_HZ} Hz, but "
                 f"{', '.join(sorted(modes)) or 'none at all'}; use a USB 3 port, or update the camera's firmware"
             )
-    return found
+    return found["depth"], found["color"]
 
 
-def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibration:
+def _read_calibration(depth: _Stream, color: _Stream, info: DeviceInfo) -> Calibration:
     """Return the device's lenses, their pose and its depth unit; `SourceError` if these are not possible."""
-    depth, color = streams["depth"], streams["color"]
     unit_m = float(depth.sensor.as_depth_sensor().get_depth_scale()) if depth.sensor.is_depth_sensor() else 0.0
     try:
         camera = DepthCamera(
