@@ -112,11 +112,9 @@ class OpenControl(QObject):
         context.worker.opened.connect(self._opened)
 
     def open(self) -> None:
-        result = self._context.result
         if self.dialog is None:
-            self._make_dialog().start_on(
-                _CAMERAS if result is not None and result.source.name.startswith(CAMERAS) else _FILES
-            )
+            live = self._context.source_name.startswith(CAMERAS)
+            self._make_dialog().start_on(_CAMERAS if live else _FILES)
 
     def open_cameras(self) -> None:
         if self.dialog is None:
