@@ -18,7 +18,6 @@ class PlaybackState:
     length: int | None = None
     playing: bool = False
     loop: bool = True
-    speed: float = 1.0
 
     @property
     def seekable(self) -> bool:
@@ -44,7 +43,7 @@ class Playback:
 
     @property
     def state(self) -> PlaybackState:
-        return PlaybackState(self.index, self.length, self.playing, self.loop, self.speed)
+        return PlaybackState(self.index, self.length, self.playing, self.loop)
 
     @property
     def period_s(self) -> float:

@@ -222,7 +222,6 @@ class Renderer:
             verdicts=frozenset(map(Provenance, np.flatnonzero(np.bincount(patch.provenance.ravel())).tolist()))
             if patch and color_by is ColorBy.PROVENANCE
             else frozenset(),
-            accepted=scene.accepted,
             no_contact=no_contact,
             no_contact_action=no_contact_action,
         )

@@ -98,9 +98,8 @@ class Rendered:
     ``color_by`` is what the clouds' colours mean. ``depth_range_m`` are the ends of the depth colours along the
     proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``pressure_scale`` is the share
     of the inflation at the end of the pressure colours, and the inflation in Pa, 0 if unknown. ``verdicts`` are the
-    `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative difference up to which
-    the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty or what it waits for,
-    ``no_contact_action`` names the window's action that may help.
+    `Provenance` values that occur, if points are coloured by them. ``no_contact`` says why a visible patch is empty or
+    what it waits for, ``no_contact_action`` names the window's action that may help.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -112,7 +111,6 @@ class Rendered:
     tactile_range_m: tuple[float, float] = (0.0, 1.0)
     pressure_scale: tuple[float, float] = (1.0, 0.0)
     verdicts: frozenset[Provenance] = frozenset()
-    accepted: float = 0.0
     no_contact: str = ""
     no_contact_action: str = ""
 
