@@ -92,7 +92,7 @@ def write_rig(path: Path, rig: Rig, forms: dict[str, dict[str, Any]] | None = No
         temporary.write_text(json_text(data), encoding="utf-8")
 
 
-def read_depth(path: Path, camera: DepthCamera, value_m: float = 1.0, lens: Lens | None = None) -> Uint16Array:
+def read_depth(path: Path, camera: DepthCamera, value_m: float, lens: Lens) -> Uint16Array:
     """Return the counts of a depth image, uint16 (H, W), in the camera's unit; 0 is no depth."""
     image = check_size(path, read_values(path), camera.intrinsics.shape)
     if image.dtype.kind == "f":
@@ -105,7 +105,7 @@ def read_depth(path: Path, camera: DepthCamera, value_m: float = 1.0, lens: Lens
                     "millimetres, remove rig.json and run tactune preset create-rig with --unit mm"
                 )
         image = np.rint(np.where(known, counts, 0)).astype(np.uint16)
-    return np.asarray(image if lens is None else lens.rectify(image), np.uint16)
+    return np.asarray(lens.rectify(image), np.uint16)
 
 
 def read_values(path: Path) -> AnyArray:
@@ -173,7 +173,7 @@ class FolderSource(SeekableSource):
         self._layout = find_frames(self._path)
         frames = enumerate(self._layout.frames)
         self._stamps = [_read_stamp(files, index) for index, files in frames]
-        if len({stamp.sequence for stamp in self._stamps}) < len(self._stamps):  # result files are named by it
+        if len({stamp.sequence for stamp in self._stamps}) < len(self._stamps):  # frames are told apart by it
             raise SourceError(f"{self._path} has two frames of the same sequence in frame.json; correct it")
         self._times_s = np.array([stamp.proximity_time_s for stamp in self._stamps])
         super().__init__(name, rig, len(self._stamps))
