@@ -57,8 +57,8 @@ def run_child(command: Sequence[str], patience_s: float = _CHILD_S) -> Child:
     return Child(out)
 
 
-def python_child(code: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-P", "-c", code, *arguments]
+def python_child(code: str) -> list[str]:
+    return [sys.executable, "-P", "-c", code]
 
 
 def ask_driver() -> dict[str, Any]:

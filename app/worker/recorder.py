@@ -43,10 +43,8 @@ class Recorder:
     def start(
         self, path: Path, rig: Rig, preset: Preset, frame_rate_hz: float, untouched: SensorFrame | None = None
     ) -> None:
-        """Start a file; does nothing while a recording runs. Raises `TactuneError` if it cannot be written."""
+        """Start a file while no recording runs; `TactuneError` if it cannot be written."""
         with self._lock:
-            if self._writer is not None:
-                return
             try:
                 self._writer = self._open(path, rig, preset=preset, frame_rate_hz=frame_rate_hz, untouched=untouched)
                 self._refused = 0

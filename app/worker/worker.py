@@ -322,6 +322,8 @@ class Worker(QThread):
         if self._info is None or self._live is None:
             self.recordingFailed.emit(NOT_LIVE)
             return
+        if self.recorder.status() is not None:  # the key was pressed twice before the window heard of the first
+            return
         try:
             untouched = self._untouched(self._info, self._preset).frame
             self.recorder.start(path, self._info.rig, self._preset, self._info.frame_rate_hz, untouched)

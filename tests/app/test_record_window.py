@@ -81,6 +81,20 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 40)
 
 
+def test_a_second_request_before_the_first_was_answered_changes_nothing(window, cameras, qtbot, folder):
+    started = []
+    window.worker.recordingStarted.connect(started.append)
+    folder.mkdir()
+    window.worker.start_recording(folder / "first.mcap")
+    window.worker.start_recording(folder / "second.mcap")
+    qtbot.waitUntil(lambda: window.recording.running)
+    cameras.give(qtbot, 3)
+    press_record(window)
+    qtbot.waitUntil(lambda: not window.recording.running)
+    assert started == [folder / "first.mcap"]
+    assert [path.name for path in folder.iterdir()] == ["first.mcap"]
+
+
 def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
     begin(window, qtbot)
     cameras.give(qtbot, 30)
