@@ -93,7 +93,7 @@ def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | No
     """Build a method by its name; raises a `TactuneError` where there is none or it lacks an untouched frame."""
     check_methods([name])
     if name in PIPELINES:
-        return ContactPipeline(preset.with_values(PIPELINES[name]), rig).process
+        return ContactPipeline(preset.with_values(PIPELINES[name]), rig, untouched).process
     if untouched is None:
         raise TactuneError(f"{name} needs an untouched frame; capture one while nothing touches the membrane")
     return {**_added()[0], **RIVALS}[name](preset, rig, untouched)

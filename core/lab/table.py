@@ -210,8 +210,7 @@ class _Rig:
 
     @classmethod
     def measured(cls, plan: Plan, source: FrameSource) -> _Rig:
-        rivals = any(name not in PIPELINES and name != BEST_T for name in plan.methods)
-        untouched = untouched_frame(source) if rivals else None
+        untouched = untouched_frame(source)
         try:
             return cls(measured_rig(plan.preset, source), untouched)
         except TactuneError as error:

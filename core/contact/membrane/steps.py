@@ -14,7 +14,9 @@ from ...model.arrays import BoolArray, Float32Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
 from ...model.patch import Boundary, Candidates, Lazy, MembraneFacts, Provenance
+from ...model.rig_noise import RigNoise
 from ..alignment import make_alignment
+from ..dents import Dents
 from ..kernels import membrane as kernels
 from ..kernels.cells import MembraneImage
 from ..kernels.simd import LANES
@@ -169,8 +171,11 @@ def measured_cells(measured: Measured, frame: SensorFrame, section: MembraneSect
     return cells_of(measured.differences, image, CELL_PX, section.shape_px, measured.free_per_m, near_m, pixels.rig)
 
 
-def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, section: MembraneSection) -> Equilibrium:
-    """Return the solution with the parts of contact that only the largest likely bias shows.
+def with_missed_parts(
+    solution: Equilibrium, cells: Cells, measured: Measured, section: MembraneSection,
+    is_dented: Callable[[BoolArray], bool],
+) -> Equilibrium:  # fmt: skip
+    """Return the solution with the dented parts of contact that only the largest likely bias shows.
 
     Parts that are found keep their edge: a larger bias would move it outwards.
     """
@@ -187,11 +192,27 @@ def with_missed_parts(solution: Equilibrium, cells: Cells, measured: Measured, s
     smallest_m2 = _MISSED_M2 if found_m2.max() >= _FOUND_SHARE * _MISSED_M2 else _ALONE_M2
     missed = (found_m2 < _FOUND_SHARE * area_m2) & (area_m2 > smallest_m2)
     missed[0] = False
+    for number in np.flatnonzero(missed):
+        missed[number] = is_dented(part == number)
     if not missed.any():
         return solution
     here = cv2.dilate(missed[part].view(np.uint8), np.ones((3, 3), np.uint8)) > 0
     names = (field.name for field in fields(Equilibrium))
     return Equilibrium(*(np.where(here, getattr(largest, name), getattr(solution, name)) for name in names))
+
+
+def is_dented(measured: Measured, dents: Dents, noise: RigNoise | None, rig: Rig, cells: BoolArray) -> bool:
+    """Return whether the untouched frame speaks for a touch in some cells (H, W), with their frame."""
+    differences = measured.differences
+    v, u = CELL_PX * np.array(np.nonzero(cells[INNER])) + CELL_PX // 2
+    height, width = differences.usable.shape
+    inside = (v < height) & (u < width)
+    v, u = v[inside], u[inside]
+    v, u = v[differences.usable[v, u]], u[differences.usable[v, u]]
+    top, left = differences.corner
+    pixels = (top + v) * rig.proximity.intrinsics.width + left + u
+    dent = dents.around(pixels, differences.depth_m(differences.counts[v, u]))
+    return dent.evidence(noise, measured.known) > 0
 
 
 def within_edge(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> BoolArray:

@@ -5,11 +5,13 @@ Its steps are in `steps`; `equilibrium` explains the physics, `frame_bias` the b
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Provenance
 from ..contact_test import HARMLESS_SHARE, MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
+from ..dents import Dents
 from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
 
 if TYPE_CHECKING:
@@ -79,7 +81,11 @@ class MembraneTest(ContactTest):
         if measured is None or (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: steps.classify(frame, preset, pixels), ("no candidates",))
         if due("edge"):
-            self._solution = steps.with_missed_parts(self._found, cells, measured, section)
+            self._solution = self._found
+            if pixels.untouched is not None:  # else no dent is known
+                dents = Dents(pixels, frame, pixels.untouched)
+                is_dented = partial(steps.is_dented, measured, dents, preset.noise, pixels.rig)
+                self._solution = steps.with_missed_parts(self._found, cells, measured, section, is_dented)
             self._touching = steps.within_edge(cells, self._solution, section.gap_m, measured)
         if due("clusters"):
             self._large = steps.large_contacts(self._touching, measured.differences, section.min_area_mm2, pixels.rig)
