@@ -96,11 +96,7 @@ def calibrate(
     if model != "auto" and refused[model]:
         raise CalibrationError(refused[model])
     if homography is None and rigid is None:
-        raise CalibrationError(
-            refused_rigid
-            if refused_homography == refused_rigid
-            else f"no homography: {refused_homography}; no rigid: {refused_rigid}"
-        )
+        raise CalibrationError(f"no homography: {refused_homography}; no rigid: {refused_rigid}")
     places = membrane_places(points.tactile, points.tactile_depth_m, rig) if membrane is None else np.asarray(membrane)
     fits: dict[ModelName, Fit | None] = {"homography": homography, "rigid": rigid}
     quality = {name: _quality(name, fit, places, rigid) for name, fit in fits.items() if fit is not None}
