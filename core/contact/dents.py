@@ -14,7 +14,6 @@ from ..model.patch import Lazy
 from ..model.rig_noise import RigNoise
 
 if TYPE_CHECKING:
-    from .membrane.frame_bias import RigBias
     from .pixels import Pixels
 
 #: Range of depths that are taken to be equally likely where no dent can be seen, metres.
@@ -40,16 +39,16 @@ class Dent(NamedTuple):
     #: How much farther what the proximity camera sees in contact has moved; large if it saw nothing.
     behind_m: float
 
-    def evidence(self, noise: RigNoise | None, known: RigBias) -> float:
+    def evidence(self, noise: RigNoise | None, tactile_m4: float, pixel_sigma_m: float) -> float:
         """Return the logarithm of how much likelier the dent makes a touch than if none could be seen.
 
-        By the formula of `tactune.core.contact.doubt`; 0 if the dent is not seen.
+        By the formula of `tactune.core.contact.doubt`; 0 if the dent is not seen. The noise power of the tactile
+        camera, m^4, and the standard deviation of a pixel are those of `RigBias`.
         """
         if math.isnan(self.depth_m):
             return 0.0
         frames = 2 - (0.0 if noise is None else noise.tactile.changing_share)  # the untouched is averaged
-        tactile_m4 = (1 - known.tactile_weight) * known.noise_m4
-        noise_m2 = frames / (self.area_m2 / tactile_m4 + 1 / known.pixel_sigma_m**2)
+        noise_m2 = frames / (self.area_m2 / tactile_m4 + 1 / pixel_sigma_m**2)
         elsewhere_m = 0.0 if math.isnan(self.elsewhere_m) else self.elsewhere_m
         sigma_m = math.sqrt(noise_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2)
         sigmas = max(self.depth_m - elsewhere_m, 0.0) / sigma_m

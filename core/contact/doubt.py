@@ -86,7 +86,7 @@ class DoubtEstimator:
                 if abs(dent.behind_m) < _ALIKE_M and preset.test.needs_proximity:
                     evidence, reasons = -MAX_EVIDENCE, (*reasons, "print or dirt")
                 else:
-                    evidence = dent.evidence(preset.noise, known)
+                    evidence = dent.evidence(preset.noise, known.tactile_m4, known.pixel_sigma_m)
                     reasons = (*reasons, "no dent") if evidence < 0 else reasons
             if pressure is not None:
                 evidence, doubts = _pressure_evidence(contact, pressure, evidence)

@@ -78,6 +78,11 @@ class RigBias:
     gap_sigma_m: float = 0.0011  # Standard deviation of a gap averaged over a window of `GUESS_PX`
     pixel_sigma_m: float = 0.0013  # Standard deviation of the gap of one pixel
 
+    @property
+    def tactile_m4(self) -> float:
+        """Noise power of the tactile camera."""
+        return (1 - self.tactile_weight) * self.noise_m4
+
     def length_m(self, usual_m: float) -> float:
         """Return the length over which equilibrium is trusted, from that at the usual noise.
 

@@ -203,7 +203,7 @@ def with_missed_parts(
 
 def is_dented(measured: Measured, dents: Dents, noise: RigNoise | None, rig: Rig, cells: BoolArray) -> bool:
     """Return whether the untouched frame speaks for a touch in some cells (H, W), with their frame."""
-    differences = measured.differences
+    differences, known = measured.differences, measured.known
     v, u = CELL_PX * np.array(np.nonzero(cells[INNER])) + CELL_PX // 2
     height, width = differences.usable.shape
     inside = (v < height) & (u < width)
@@ -212,7 +212,7 @@ def is_dented(measured: Measured, dents: Dents, noise: RigNoise | None, rig: Rig
     top, left = differences.corner
     pixels = (top + v) * rig.proximity.intrinsics.width + left + u
     dent = dents.around(pixels, differences.depth_m(differences.counts[v, u]))
-    return dent.evidence(noise, measured.known) > 0
+    return dent.evidence(noise, known.tactile_m4, known.pixel_sigma_m) > 0
 
 
 def within_edge(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> BoolArray:
