@@ -96,7 +96,11 @@ def calibrate(
     if model != "auto" and refused[model]:
         raise CalibrationError(refused[model])
     if homography is None and rigid is None:
-        raise CalibrationError(f"no homography: {refused_homography}; no rigid: {refused_rigid}")
+        raise CalibrationError(
+            refused_rigid
+            if refused_homography == refused_rigid
+            else f"no homography: {refused_homography}; no rigid: {refused_rigid}"
+        )
     places = membrane_places(points.tactile, points.tactile_depth_m, rig) if membrane is None else np.asarray(membrane)
     fits: dict[ModelName, Fit | None] = {"homography": homography, "rigid": rigid}
     quality = {name: _quality(name, fit, places, rigid) for name, fit in fits.items() if fit is not None}
@@ -130,7 +134,10 @@ def _try_rigid(points: PointArrays, ids: list[str], rig: Rig) -> tuple[Fit | Non
     """Return the rigid fit, the offset that the pairs show, and why there is no fit."""
     known = np.isfinite(points.tactile_depth_m)
     if known.sum() < 4 <= len(points):
-        reason = f"only {known.sum()} of {len(points)} pairs have tactile depth, not 4; click where there is depth"
+        reason = (
+            f"only {known.sum()} of the {len(points)} pairs have a tactile depth, a rigid alignment needs 4; "
+            "click where the tactile camera sees depth"
+        )
         return None, None, reason
     points, names = points.keep(known), [name for name, has in zip(ids, known, strict=True) if has]
     offset: DepthOffset | None = None

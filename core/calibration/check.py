@@ -49,7 +49,10 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     record = preset.alignment.calibration
     points = measure_pairs(frame, rig, pose)
     if len(points) < _MIN_FOUND:
-        raise CalibrationError(f"only {len(points)} places look alike; light the membrane evenly, or calibrate again")
+        raise CalibrationError(
+            f"only {len(points)} places look alike in both colour images; "
+            "light the membrane evenly and check that both cameras see it, then calibrate again if that does not help"
+        )
     found = clicks_in_depth(rig, points.proximity, points.in_color, pose.points_m(rig, points.places))
     offsets = np.asarray(found - alignment.pixels(rig, points.places))
     lengths = np.hypot(*offsets.T)

@@ -171,7 +171,10 @@ def detect_chessboard(image: Uint8Array, columns: int, rows: int) -> Float64Arra
         gray, (columns, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     )
     if not found:
-        raise CalibrationError(f"no chessboard of {columns} x {rows} corners is seen; show it whole, lit and sharp")
+        raise CalibrationError(
+            f"no chessboard of {columns} x {rows} inner corners is seen; check its size, show it whole, evenly lit and "
+            "in focus, or click the points by hand"
+        )
     corners = corners.reshape(-1, 1, 2).astype(np.float32)
     refined = cv2.cornerSubPix(gray, corners, (_CORNER_WINDOW, _CORNER_WINDOW), (-1, -1), _CRITERIA)
     pixels = np.asarray(refined, np.float64).reshape(-1, 2)

@@ -284,7 +284,9 @@ def _unit(
             f"as mm, or as metres per count such as {said}=0.00025 (--unit)"
         )
     if not is_float and unit_m > MAX_UNIT_M:
-        raise CalibrationError(f"the unit of {said} is {unit_m:g} m; it is at most {MAX_UNIT_M * 1e3:g} mm (--unit)")
+        raise CalibrationError(
+            f"the unit says {unit_m:g} m for {said}; a count is at most {MAX_UNIT_M * 1e3:g} mm, such as mm (--unit)"
+        )
     known = (image > 0) if is_float else valid_depth(image)
     half_m = float(np.median(image[known])) * unit_m if known.any() else float("nan")
     draft.notes.append(f"{said}: depth unit {unit_m * 1e3:g} mm ({why}); half of the depths are below {half_m:.3f} m")
@@ -385,7 +387,8 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     if len(found) < _MIN_PICTURES or size is None:
         why = "".join(f" ({name}: {sentence})" for name, sentence in list(refused.items())[:1])
         raise CalibrationError(
-            f"{folder}: {len(found)} of {len(paths)} pictures show the board, not {_MIN_PICTURES}{why}"
+            f"{folder}: a whole chessboard of {columns} x {rows} inner corners is in {len(found)} of {len(paths)} "
+            f"pictures, but {_MIN_PICTURES} are needed{why}"
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
@@ -397,10 +400,15 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     jacobians = [cv2.projectPoints(board, *pose, K, distortion)[1] for pose in zip(turns, shifts, strict=True)]
     focal_sd_px = _focal_sd(jacobians, max(rms / math.sqrt(2), _CORNER_PX))
     if not (rms <= _MAX_RMS_PX and focal_px > 0):
-        raise CalibrationError(f"{folder}: corners miss the lens by {rms:.1f} px; use a flat board and one camera")
+        raise CalibrationError(
+            f"{folder}: the corners miss the fitted lens by {rms:.1f} px (RMS); check that the board is flat and that "
+            "one camera took all pictures"
+        )
     uncertain = min(focal_sd_px / focal_px, 1.0)
     if not uncertain <= _MAX_FOCAL_SHARE:
-        raise CalibrationError(f"{folder}: fx is uncertain by {uncertain:.0%}; tilt the board by 20 degrees each way")
+        raise CalibrationError(
+            f"{folder}: fx is uncertain by {uncertain:.0%}; tilt the board by 20 degrees or more, each time another way"
+        )
     lens = make_lens("plumb_bob", distortion.ravel()[:5].tolist(), K.ravel().tolist(), size).intrinsics
     check_lens(lens, str(folder))
     return LensFit(lens, float(rms), focal_sd_px, len(found), refused)

@@ -393,4 +393,6 @@ def _no_agreement(model: Model, fit: Fit | None = None) -> CalibrationError:
             f"only {int(fit.inliers.sum())} of the {count} pairs agree on one {model.name}, and {wrong} "
             f"contradict{'s' if count - fit.inliers.sum() == 1 else ''} them by up to {min(far, 1e6):.0f} px"
         )
-    return CalibrationError(f"{found}; check that both images show the same moment, and correct the wrong pairs")
+    return CalibrationError(
+        f"{found}; check that both images show the same moment, and delete the wrong pairs or click them again"
+    )

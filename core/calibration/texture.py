@@ -56,7 +56,9 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
         found = _guided(views, rig, _fit(found, rig).alignment)
     fit = _fit(found, rig)
     if fit.rms_px > _MAX_RMS_PX:
-        raise CalibrationError(f"places that look alike are {fit.rms_px:.1f} px off; check that it is one scene")
+        raise CalibrationError(
+            f"places that look alike agree only to {fit.rms_px:.1f} px; check that both images show the same scene"
+        )
     kept = found[fit.inliers]
     best_first = kept[np.argsort(-kept[:, 6], kind="stable")].tolist()
     image: Literal["depth", "color"] = "depth" if rig.proximity_color is None else "color"
@@ -171,7 +173,9 @@ def _described(views: list[_View]) -> Float64Array:
 
 def _fit(found: Float64Array, rig: Rig) -> Fit:
     if len(found) < _MIN_PAIRS:
-        raise CalibrationError(f"only {len(found)} places look alike; light the membrane evenly, or click points")
+        raise CalibrationError(
+            f"only {len(found)} places look alike, {_MIN_PAIRS} are needed; light the membrane evenly, or click points"
+        )
     return fit_rigid(_points(found), rig, sigma_px=_MATCH_SIGMA_PX)
 
 

@@ -125,7 +125,11 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
     for candidate in (unit,) if unit else ("m", "mm"):
         if _SMALLEST_M <= size * UNITS_M[candidate] <= _LARGEST_M:
             return ObjectMesh(vertices * UNITS_M[candidate], triangles, path.name, candidate)
-    raise SourceError(f"{path} is {size:.4g} across, no object in {unit or 'm or mm'}; give another unit")
+    tried = f"in {unit}" if unit else "in m or in mm"
+    raise SourceError(
+        f"{path} is {size:.4g} across, which {tried} is no object of {1e3 * _SMALLEST_M:g} mm to {_LARGEST_M:g} m; "
+        f"check its unit, which is one of {', '.join(UNITS_M)}"
+    )
 
 
 def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:

@@ -22,6 +22,7 @@ from ..model.patch import ContactPatch
 from ..preset import Preset
 from .object_mesh import ObjectMesh, import_open3d
 from .pose_fit import (
+    ON_MESH_M,
     Fit,
     Membrane,
     PatchPoints,
@@ -157,10 +158,17 @@ class PoseTracker:
         """
         tiles = patch_points(patch.points, self._rig, self._density_m4)
         if len(tiles.points) < _MIN_TILES:
-            raise CalibrationError(f"the patch is too small to find {self.mesh.name}; press it deeper")
+            raise CalibrationError(
+                f"the patch is too small to find {self.mesh.name}: {len(tiles.points)} image tiles of contact, at "
+                f"least {_MIN_TILES} are needed; press it deeper"
+            )
         found = self._search(patch, tiles, progress).everywhere(None)
         if _is_lost(found):
-            raise CalibrationError(f"the mesh {self.mesh.name} does not fit the contact; check mesh and unit")
+            raise CalibrationError(
+                f"the mesh {self.mesh.name} does not fit the contact: at best {100 * found.overlap:.0f} % of the "
+                f"patch lies within {1e3 * ON_MESH_M:g} mm of it, and the two-way residual is {1e3 * found.cost_m:.1f} "
+                "mm; check that it is the mesh of this object and its unit"
+            )
         self.start(found.pose)
         return found.pose
 

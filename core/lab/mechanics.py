@@ -79,7 +79,9 @@ class MembraneMechanics:
         way_m = (now - self._untouched) * self._factor_m * self._way_per_depth
         seen = np.count_nonzero(np.isfinite(way_m))
         if seen < _SEEN_SHARE * len(way_m):
-            raise FrameError(f"mechanics: only {seen} of {len(way_m)} nodes have depth; check what the camera sees")
+            raise FrameError(
+                f"mechanics: only {seen} of {len(way_m)} nodes of the membrane have depth; check what the camera sees"
+            )
         return np.asarray(way_m)
 
     def pressure_image(self, x: Float64Array) -> Float32Array:
@@ -149,7 +151,9 @@ def build_mesh(
     used = np.unique(triangles)
     inside = np.count_nonzero(~rim[used])
     if inside < _MIN_NODES or inside == len(used):
-        raise TactuneError(f"only {inside} nodes of the untouched membrane have depth; capture it again")
+        raise TactuneError(
+            f"only {inside} nodes of the untouched membrane have depth, {_MIN_NODES} are needed; capture it again"
+        )
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]
     renumbered = np.full(len(pixels), -1)
     renumbered[used] = np.arange(len(used))

@@ -94,7 +94,9 @@ class StrainMeasurement:
 def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
     frame.check_against(rig)
     if frame.tactile_color is None or frame.tactile_color.shape[:2] != frame.tactile_depth.shape:
-        raise StrainError(f"frame {frame.sequence} has no tactile colour that is aligned to the depth; record it")
+        raise StrainError(
+            f"frame {frame.sequence} has no tactile colour image of the depth image's size; record it, aligned to depth"
+        )
     depth_m = _smooth_depth_m(frame, rig.tactile)
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth; check the tactile camera and its range")

@@ -21,7 +21,10 @@ def ray_table(intrinsics: Intrinsics) -> Float32Array:
     table = intrinsics.rays()
     folded = ~np.isfinite(table).all(axis=2)
     if folded.mean() > _MAX_FOLDED:
-        raise SourceError(f"the lens coefficients {intrinsics.coefficients} leave most pixels no ray; correct them")
+        raise SourceError(
+            f"the lens coefficients {intrinsics.coefficients} leave {100 * folded.mean():.0f} % of the "
+            f"{intrinsics.width} x {intrinsics.height} pixels without a ray; check them in the rig"
+        )
     if folded.any():
         row, column = np.nonzero(folded)
         ahead = np.column_stack([(column - intrinsics.cx) / intrinsics.fx, (row - intrinsics.cy) / intrinsics.fy])

@@ -62,9 +62,12 @@ def pose_matrix(rotation: npt.ArrayLike, shift_m: npt.ArrayLike) -> Float64Array
 def camera_pose(matrix: Any) -> Matrix4:
     """Return a pose between the cameras of a rig, at most 1 m long, as `rigid_transform` does."""
     pose = rigid_transform(matrix)
-    apart_m = np.linalg.norm([row[3] for row in pose[:3]])
-    if apart_m > _MAX_CAMERA_SHIFT_M:
-        raise ValueError(f"the cameras are {apart_m:g} m apart, at most {_MAX_CAMERA_SHIFT_M:g} m; is it in mm?")
+    shift = [row[3] for row in pose[:3]]
+    if np.linalg.norm(shift) > _MAX_CAMERA_SHIFT_M:
+        raise ValueError(
+            f"the cameras of a rig are at most {_MAX_CAMERA_SHIFT_M:g} m apart, the translation here is "
+            f"{' '.join(f'{value:g}' for value in shift)}: is it in mm? Give metres"
+        )
     return pose
 
 

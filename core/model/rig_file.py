@@ -50,7 +50,9 @@ def read_json_object(path: Path) -> dict[str, Any]:
     try:
         data = read_json(path)
     except FileNotFoundError as error:
-        raise SourceError(f"there is no file {path} of the cameras; tactune preset create-rig writes one") from error
+        raise SourceError(
+            f"there is no file {path}, which describes both cameras; tactune preset create-rig writes one"
+        ) from error
     except OSError as error:
         remedy = "check its permissions" if error.errno else "choose another"  # no number: a pipe or a device
         raise SourceError(f"cannot read {path}: {error.strerror or error}; {remedy}") from error

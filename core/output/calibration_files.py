@@ -108,7 +108,10 @@ def _radtan(lens: Intrinsics, frame: str) -> Float64Array:
     if not lens.has_distortion:
         return np.empty(0)
     if lens.distortion is not Distortion.BROWN_CONRADY or lens.coefficients[4]:
-        raise ExportError(f"{frame}: Kalibr has no {lens.distortion} with k3 {lens.coefficients[4]:g}; export to URDF")
+        raise ExportError(
+            f"the lens of {frame} is {lens.distortion} with k3 = {lens.coefficients[4]:g}, but Kalibr's radtan is "
+            "brown_conrady without k3; export to URDF or ROS, which state no lens"
+        )
     return np.array(lens.coefficients[:4])
 
 

@@ -68,7 +68,9 @@ def preset_text(path_or_name: Path | str) -> tuple[str, str]:
             f"name a file or one of the shipped presets: {', '.join(shipped_presets())}"
         ) from error
     except UnicodeDecodeError as error:
-        raise PresetError(f"{path} is no preset: it is no text (byte {error.start}); choose a .json file") from error
+        raise PresetError(
+            f"{path} is no preset: it is not a text file (byte {error.start}); choose a .json file"
+        ) from error
     return text, str(path)
 
 

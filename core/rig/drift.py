@@ -87,7 +87,9 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
         one.check_against(rig)
     change, x, y, before = _changes(frame.tactile_depth, untouched.tactile_depth, rig.tactile)
     if len(change) < _MIN_PIXELS:
-        raise CalibrationError(f"only {len(change)} pixels have tactile depth in both frames; check the tactile camera")
+        raise CalibrationError(
+            f"the tactile camera sees only {len(change)} pixels of the membrane in both frames; check what it sees"
+        )
     rim, apex = np.quantile(before, [0.02, 0.98])
     inflated = apex - rim >= _MIN_BULGE_M
     bulge = (before - rim) / (apex - rim) if inflated else np.zeros_like(before)

@@ -95,7 +95,10 @@ def fit_inflation(presses: Sequence[Press]) -> Inflation:
     left_n = force_n - pascals * area_m2
     residual_n, count = math.sqrt(float(np.mean(left_n**2))), len(presses)
     if residual_n > _LARGEST_RESIDUAL * float(np.mean(force_n)):
-        raise CalibrationError(f"the forces do not follow the frames ({residual_n:.2g} N off); check the scale's zero")
+        raise CalibrationError(
+            f"the forces do not follow the frames: they differ from a fit by {residual_n:.2g} N, their mean is "
+            f"{np.mean(force_n):.2g} N; look whether each force belongs to its frame, and whether the scale was at zero"
+        )
     spread_pa = math.sqrt(float(weight @ left_n**2) / known) if count > 1 else 0.0
     weak = tuple(sorted({reason for press in presses for reason in press.weak}))
     shared_pa = _SHARED_ERROR * pascals * (_WEAKER if weak else 1.0)

@@ -119,7 +119,9 @@ def read_values(path: Path) -> AnyArray:
         return image.astype(np.uint16)
     if image.dtype.kind == "f" and image.ndim == 2:
         return image.astype(np.float64)
-    raise SourceError(f"{path} has {image.dtype}, {image.shape}; save depth in one channel of 16 bits or as floats")
+    raise SourceError(
+        f"{path} has {image.dtype}, {image.shape}; save depth itself: one channel of 16 bits or floating-point values"
+    )
 
 
 def read_color(path: Path, shape: tuple[int, int], lens: Lens) -> Uint8Array:
@@ -129,7 +131,10 @@ def read_color(path: Path, shape: tuple[int, int], lens: Lens) -> Uint8Array:
         image = (image >> 8).astype(np.uint8)
     channels = image.shape[2] if image.ndim == 3 else 1
     if image.dtype != np.uint8 or channels not in _TO_RGB or path.suffix.lower() == ".npy":
-        raise SourceError(f"{path} has {image.dtype}, {image.shape}; save colour as PNG or JPEG, 8 bits a channel")
+        raise SourceError(
+            f"{path} has {channels} channels of {image.dtype.itemsize * 8} bits, but colour is a PNG or JPEG of 8 bits "
+            "with 1, 3 or 4 channels; save it in that form"
+        )
     rgb = np.asarray(cv2.cvtColor(image, _TO_RGB[channels]), np.uint8)
     return np.ascontiguousarray(lens.rectify(rgb))
 

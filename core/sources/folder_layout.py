@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import SourceError, counted
 from ..model.arrays import Float64Array
 from ..model.loading import read_file
 from .base import PROXIMITY_NAMES, TACTILE_NAMES
@@ -120,7 +120,9 @@ def _foreign(path: Path) -> Layout:
             "images in folders or files named depth; open the folder in which depth and rgb lie"
         )
     if "tactile_depth" not in found and "prox" in str(found["proximity_depth"][0].path.relative_to(path)).lower():
-        raise SourceError(f"{path} has depth of the proximity camera only; copy the other's, or call it depth")
+        raise SourceError(
+            f"{path} has depth of the proximity camera only; copy the other's, or name that of the only camera depth"
+        )
     if "proximity_depth" not in found:  # the only camera
         found = {slot.replace("tactile", "proximity"): images for slot, images in found.items()}
     is_tum = any(image.path in listed for image in found["proximity_depth"])
@@ -139,7 +141,10 @@ def _paired(path: Path, name: str, found: dict[str, list[_Image]]) -> Layout:
         kept, other = _together(first, found["tactile_depth"])
         unmatched = len(first) + len(found["tactile_depth"]) - 2 * len(kept)
         if not kept:
-            raise SourceError(f"{path}: no proximity depth has a tactile partner by number or time; rename them")
+            raise SourceError(
+                f"{path}: none of the {counted(len(first), 'depth image')} of proximity ({first[0].path.name}, …) has "
+                f"a partner of tactile ({found['tactile_depth'][0].path.name}, …) by number or time; rename them"
+            )
         partners["tactile_depth"] = other
     depth = {"proximity": [first[index] for index in kept]}
     depth["tactile"] = [found["tactile_depth"][index] for index in partners.get("tactile_depth", ())]

@@ -97,7 +97,7 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
         return Lens(_intrinsics(pinhole))
     if name not in _PINHOLE or d.size not in _COUNTS:
         known = ", ".join(("none", "plumb_bob", "rational_polynomial", "thin_prism", "equidistant"))
-        raise SourceError(f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is not among {known}")
+        raise SourceError(f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is none of {known}")
     if not d[5:].any():
         brown = tuple(np.pad(d, (0, 5))[:5].tolist())
         return Lens(_intrinsics({**pinhole, "distortion": Distortion.BROWN_CONRADY, "coefficients": brown}))
@@ -195,7 +195,10 @@ def read_lenses(path: Path) -> list[StatedLens]:
         text = read_file(path, _MAX_BYTES.get(suffix, _MAX_TEXT_BYTES)).decode("utf-8-sig")
         lenses = _cameras(path, _parse(text, suffix))
     if not lenses:
-        raise SourceError(f"{path} states no lens; known are camera_info, Kalibr's, OpenCV's YAML and XML, text with K")
+        raise SourceError(
+            f"{path} states no lens: no camera_matrix, K, intrinsics or fx; known are ROS camera_info, Kalibr's "
+            "camchain, OpenCV's YAML and XML, and text with K"
+        )
     return lenses
 
 
@@ -207,7 +210,9 @@ def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) 
     fitting = named or [lens for lens in lenses if lens.size in (None, size)] or list(lenses)
     if len(fitting) > 1:
         path, names = lenses[0].path, [foreign(lens.name.split(" ")[0], 40) for lens in lenses[:4]]
-        raise SourceError(f"{path} has several cameras ({', '.join(names)}); name that of {role} as {path}:{names[0]}")
+        raise SourceError(
+            f"{path} has {len(lenses)} cameras ({', '.join(names)}); name the one of {role}, as in {path}:{names[0]}"
+        )
     return fitting[0]
 
 

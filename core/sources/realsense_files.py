@@ -79,7 +79,10 @@ def _cameras(name: str, recordings: Sequence[RecordingFile]) -> list[RecordedCam
     one, other = cameras[0][1], cameras[-1][1]
     times_s = _common_times(one, other, one_device=len(cameras) == 1)
     if len(recordings) == 2 and times_s[0] is one.recorded_s:
-        raise SourceError(f"{name}: the cameras' clocks cannot be compared; record both with global time enabled")
+        raise SourceError(
+            f"{name}: the cameras' clocks cannot be compared ({one.clock or 'unknown'} and "
+            f"{other.clock or 'unknown'}); record both cameras with global time enabled"
+        )
     return [replace(camera, times_s=its_s) for (camera, _), its_s in zip(cameras, times_s, strict=False)]
 
 

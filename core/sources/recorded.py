@@ -90,7 +90,12 @@ class RecordedSource(SeekableSource):
         self._unmatched = len(first.times_s) + len(second.times_s) - 2 * len(self._first)
         if not len(self._first):
             apart_s = abs(float(np.median(first.times_s) - np.median(second.times_s)))
-            raise SourceError(f"{name}: no images match: both cameras' are about {apart_s:.3g} s apart; choose others")
+            raise SourceError(
+                f"{name}: no depth image of {first.calibration.depth.model} has one of "
+                f"{second.calibration.depth.model} within {farthest_s * 1e3:.1f} ms by their stamps, which are about "
+                f"{apart_s:.3g} s apart; choose recordings of the same time, or shift one's stamps if only the clocks "
+                "differ"
+            )
 
     def times_s(self) -> Float64Array | None:
         return from_first_s(self._cameras[0].times_s[self._first])

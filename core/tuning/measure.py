@@ -213,6 +213,10 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
-        raise TuneError(f"no Dask scheduler and worker answer at {address} ({foreign(error)}); start both") from error
+        raise TuneError(
+            f"no Dask scheduler with a worker answers at {address} ({foreign(error)}); give "
+            "the address that dask scheduler prints, such as tcp://192.168.0.5:8786, and start dask worker ADDRESS "
+            "--nthreads 1"
+        ) from error
     with client:
         yield Workers(client.get_executor(pure=False), sum(client.nthreads().values()))

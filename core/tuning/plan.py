@@ -90,7 +90,9 @@ def parse_axis(text: str) -> Axis:
             axis = Axis(path, (), float(low), float(high), bool(log))
             if 0 < axis.high - axis.low < math.inf and (axis.low > 0 or not log):
                 return axis
-        raise TuneError(f"{path}: {given} is no range; write LOW:HIGH, or LOW:HIGH:log with LOW above 0")
+        raise TuneError(
+            f"{path}: {given} is no range; write LOW:HIGH, or for equal ratios LOW:HIGH:log with LOW above 0"
+        )
     try:
         values = json.loads(f"[{given.strip(',')}]")
     except (ValueError, RecursionError):  # words

@@ -202,7 +202,10 @@ def _worker() -> Iterator[None]:
         raise
     except Exception as error:
         said = str(error).partition("\n")[0][:200]
-        raise TuneError(f"a worker failed ({type(error).__name__}: {said}); go on with fewer --jobs") from error
+        raise TuneError(
+            f"a worker failed or was killed ({type(error).__name__}: {said}); try fewer --jobs if memory ran out, "
+            "check that each worker has this version of Tactune, and give the same command again"
+        ) from error
 
 
 def _suggest(axes: Sequence[Axis], trial: optuna.Trial) -> optuna.Trial:

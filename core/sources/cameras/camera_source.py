@@ -144,7 +144,10 @@ class CameraSource(FrameSource):
         apart_s = max(latest_s, default=0.0) - min(latest_s, default=0.0)
         if ok and stale and apart_s > _PATIENCE_S / 2:  # else frames are late, or nobody reads them
             ok = False
-            said.append(f"The cameras' time stamps are {apart_s:.3g} s apart, so no images match: set the clocks.")
+            said.append(
+                f"Both cameras send images, but their time stamps are {apart_s:.3g} s apart, so none belong together: "
+                "set the clocks of the computers or drivers that stamp them."
+            )
         return Health(
             ok=ok,
             message=" ".join(filter(None, said)),

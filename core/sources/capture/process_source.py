@@ -61,7 +61,10 @@ class ProcessSource(FrameSource):
         try:
             order = pickle.dumps(opener)
         except Exception as error:  # objects refuse to be pickled in many ways
-            raise SourceError(f"the opener cannot be pickled ({error}); use a function of a module") from error
+            raise SourceError(
+                f"the opener of the source cannot be sent to the capture process ({error}); "
+                "use a function of a module or functools.partial of one"
+            ) from error
         self._supervisor = Supervisor(order)
         # Also called when an unclosed source is collected, and at exit before multiprocessing waits for its processes.
         self._close = Finalize(self, self._supervisor.stop, exitpriority=10)

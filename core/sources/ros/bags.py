@@ -24,7 +24,7 @@ from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from ...errors import SourceError, closed_on_error
+from ...errors import SourceError, closed_on_error, foreign
 from ...model.arrays import Int64Array
 from ...model.loading import read_file
 from ..base import Progress
@@ -281,7 +281,10 @@ def _parts_of(folder: Path) -> list[Path]:
         if not paths:
             raise SourceError(f"{folder} holds no recording ({', '.join(BAG_ENDINGS)}); choose another folder")
         if len(starts := {re.sub(r"(_\d+)?\..*", "", path.name) for path in paths}) != 1:
-            raise SourceError(f"{folder} has {len(starts)} recordings and no readable {METADATA}; choose one's files")
+            raise SourceError(
+                f"{folder} has no {METADATA} that can be read, and files of {len(starts)} recordings "
+                f"({', '.join(foreign(name, 40) for name in sorted(starts)[:4])}); choose the files of one"
+            )
         return paths
     paths = [folder / name for name in dict.fromkeys(PurePath(name).name for name in names)]
     if missing := [path for path in paths if not path.is_file()]:

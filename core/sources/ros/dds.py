@@ -104,7 +104,9 @@ class Participant:
         try:
             self._entities.append(Domain(domain, _config(address, also_here)))
         except DDSException as error:
-            raise ValueError(f"no network interface {address}, or domain {domain} is in use; choose another") from error
+            raise ValueError(
+                f"there is no network interface {address}, or this program uses domain {domain} already; choose another"
+            ) from error
         try:
             self._entities.append(DomainParticipant(domain))
             if address.is_loopback:

@@ -77,7 +77,10 @@ def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Fi
         proposal = Proposal("contact_test", {"contact_test": "pressure"}, "Use the pressure test", sentence, expected)
         return Finding("one_camera", "contact_test", sentence, proposal, explains_empty=True)
     if preset.test.needs_untouched and untouched is None:
-        sentence = f"The {preset.contact_test} test needs the untouched frame: capture it with nothing touching."
+        sentence = (
+            f"The contact test {preset.contact_test} compares with the untouched frame, and there is none: capture it "
+            "while nothing touches the membrane."
+        )
         return Finding("no_untouched", "contact_test", sentence, action="capture_untouched", explains_empty=True)
     return None
 
@@ -104,7 +107,10 @@ def wrong_unit(frame: SensorFrame, rig: Rig) -> Finding | None:
     distance_m = _distance_m(frame, rig)
     if math.isnan(distance_m) or _PLAUSIBLE_M[0] <= distance_m <= _PLAUSIBLE_M[1]:
         return None
-    sentence = f"The membrane seems {distance_m:.2g} m away: is its depth_unit_m, {rig.tactile.depth_unit_m:g}, right?"
+    sentence = (
+        f"The tactile camera sees the membrane at {distance_m:.2g} m in the median: check its depth_unit_m "
+        f"{rig.tactile.depth_unit_m:g} in rig.json."
+    )
     return Finding("depth_unit", "cameras", sentence, action="camera_settings", explains_empty=True)
 
 

@@ -81,11 +81,17 @@ def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
     if free is None and not _one_colour(colours.core):
         raise AdviceError("mask: in this frame prints can't be told from contact; capture an untouched frame")
     if len(colours.core) < _MIN_PRINT_PIXELS:
-        raise AdviceError(f"mask: {len(colours.core)} pixels are prints, so no print reflects infrared; leave it off")
+        raise AdviceError(
+            f"mask: only {len(colours.core)} pixels outside contact have a proximity depth on the membrane, so no "
+            "print reflects infrared; leave the mask off, or check the alignment if you see false contact on prints"
+        )
     section = _widest(colours)
     covered, lost = colours.shares(section)
     if covered - lost < _MIN_GAIN:
-        raise AdviceError(f"mask: covering {100 * covered:.0f} % of the prints drops {100 * lost:.0f} % of the rest")
+        raise AdviceError(
+            f"mask: the prints have the colour of the rest of the membrane: a mask that covers {100 * covered:.0f} % "
+            f"of them drops {100 * lost:.0f} % of the rest; no mask tells them apart"
+        )
     changes = {
         f"mask.{name}": value for name, value in section.model_dump().items() if value != getattr(preset.mask, name)
     }
@@ -93,7 +99,10 @@ def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
     present = "The present mask is off: prints pass as contact."
     if preset.mask.enabled:
         now_covered, now_lost = colours.shares(preset.mask)
-        present = f"The mask covers {100 * now_covered:.0f} % of the prints, and {100 * now_lost:.1f} % of the rest."
+        present = (
+            f"The present mask covers {100 * now_covered:.0f} % of the prints and drops {100 * now_lost:.1f} % of the "
+            "bare membrane."
+        )
         if now_covered >= covered - _AS_GOOD and now_lost <= lost + _MAX_LOST:
             changes, label = {}, "Keep the mask"
     sentence = (

@@ -46,14 +46,19 @@ def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
     progress(0.2, "Looking for the membrane")
     seen = float(np.mean(valid_depth(frame.tactile_depth)))
     if seen < _MIN_SEEN:
-        raise AdviceError(f"contact test: only {100 * seen:.0f} % of the tactile image has depth; check the camera")
+        raise AdviceError(
+            f"contact test: the tactile camera measures depth in only {100 * seen:.0f} % of its image; check the camera"
+        )
     bias = scene_bias(*depth_differences(frame, preset, rig))
     curvature_per_m = usable_curvature_per_m(measured_curvature_per_m(frame, preset.alignment, rig))
     test, expected = "tolerance", "Pixels count as contact where both depths agree within t."
     if bias is not None:
         why = f"Both cameras see the same surface {bias.place}, so there is no membrane."
     elif curvature_per_m <= LIMITS_PER_M[0]:
-        why = f"The tactile camera sees no inflated membrane: twice its curvature is at most {LIMITS_PER_M[0]:g} per m."
+        why = (
+            "The tactile camera sees no inflated membrane: twice the mean curvature is at most "
+            f"{LIMITS_PER_M[0]:g} per metre."
+        )
     else:
         why = (
             "The pose of the cameras is known, and the tactile camera sees an inflated membrane (twice its mean "

@@ -55,4 +55,4 @@ def test_a_contact_test_that_cannot_be_used_is_told_without_compiling_it(tactune
     save_preset(Preset(contact_test="pressure"), tmp_path / "pressure.json")
     finished = tactune("preset", "findings", "--source", recording, "--preset", tmp_path / "pressure.json")
     assert finished.status == 1
-    assert "needs the untouched frame: capture it" in finished.out
+    assert "compares with the untouched frame, and there is none" in finished.out

@@ -22,7 +22,7 @@ REFUSED = [
     ("serve --source IN --origin https://a.b/c", "the origin is 'https://a.b/c'"),
     ("run --source IN --preset no_such_preset --json", "no_such_preset"),
     ("run --source IN --preset IN/rig.json --json", "rig.json"),
-    ("run --source IN --preset IN/000000/tactile_depth.png --json", "it is no text"),
+    ("run --source IN --preset IN/000000/tactile_depth.png --json", "not a text file"),
     ("run --source IN --out /dev/null/out", "/dev/null/out"),
     ("run --source IN --out IN/rig.json", "rig.json is a file"),
     ("run --source simm", "did you mean sim"),

@@ -86,7 +86,7 @@ def test_points_without_depth_give_a_homography_and_say_why(rig, plane):
     pairs = [pair_of(i, clicks.proximity[i], clicks.tactile[i]) for i in range(8)]
     report = calibrate(pairs, rig)
     assert report.model == "homography"
-    assert "only 0 of 8 pairs have tactile depth" in report.refused["rigid"]
+    assert "only 0 of the 8 pairs have a tactile depth" in report.refused["rigid"]
     with pytest.raises(CalibrationError, match="tactile depth"):
         calibrate(pairs, rig, "rigid")
 

@@ -66,7 +66,7 @@ def test_boards_that_tell_no_focal_length_are_refused_with_the_remedy(tmp_path, 
 
 
 def test_too_few_pictures_and_other_sizes_are_said(tmp_path):
-    with pytest.raises(CalibrationError, match="0 of 0 pictures show the board, not 4"):
+    with pytest.raises(CalibrationError, match="in 0 of 0 pictures, but 4 are needed"):
         fit_lens(tmp_path, 8, 6)
     draw_boards(tmp_path, TILTS_DEG)
     with pytest.raises(CalibrationError, match="it has 640 x 480 pixels, but 1280 x 720 are needed"):

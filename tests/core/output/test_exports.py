@@ -116,7 +116,7 @@ def test_the_pose_of_a_preset_replaces_that_of_the_rig(tmp_path):
 REFUSED = {
     "no pose": (rig_with(None), Preset(), "urdf", "pose of the tactile camera is not known"),
     "homography": (RIG, Preset().with_value("alignment.model", "homography"), "ros", "homography"),
-    "k3": (rig_with(turned(0, 0, 0), k3=0.1), None, "kalibr", "k3 0.1"),
+    "k3": (rig_with(turned(0, 0, 0), k3=0.1), None, "kalibr", "k3 = 0.1"),
     "lens": (rig_with(turned(0, 0, 0), distortion=Distortion.INVERSE_BROWN_CONRADY), None, "kalibr", "inverse_brown"),
 }
 

@@ -96,7 +96,7 @@ BAD = {
     ),
     "wrong bit depth": (
         lambda p: write(p / F / "tactile_depth.png", 4, 6, dtype=np.uint8),
-        r"tactile_depth\.png has uint8, .*; save depth in one channel of 16 bits",
+        r"tactile_depth\.png has uint8, .*; save depth itself: one channel of 16 bits",
     ),
     "wrong size": (
         lambda p: write(p / F / "proximity_depth.png", 5, 8),
@@ -116,7 +116,7 @@ BAD = {
     ),
     "pose of 2 m": (
         lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]),
-        r"rig\.json: T_proximity_tactile is .*the cameras are 2.23607 m apart, at most 1 m; is it in mm",
+        r"rig\.json: T_proximity_tactile is .*at most 1 m apart, the translation here is 2 0 1: is it in mm",
     ),
 }
 

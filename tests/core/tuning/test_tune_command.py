@@ -129,7 +129,7 @@ def test_a_damaged_file_is_told_in_one_sentence(tune, recording, tmp_path, line)
         (("-s", "REC", "--frames", "1", "--objective", "stability"), "there is only one"),
         (("-s", "live:sim:cup"), "record it first"),
         (("-s", "folder:/nowhere"), "there is no folder"),
-        (("-s", "REC", "--scheduler", "nonsense"), "no Dask scheduler and worker answer at nonsense"),
+        (("-s", "REC", "--scheduler", "nonsense"), "no Dask scheduler with a worker answers at nonsense"),
         (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "remove it or --scheduler"),
     ],
 )

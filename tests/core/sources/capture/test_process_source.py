@@ -108,7 +108,7 @@ def test_options_go_through(nothing_left, tmp_path):
         (partial(open_nothing, "extra"), MissingExtraError, r"^the camera driver is not installed; install tactune"),
         (partial(open_nothing, "slip"), SourceError, r"failed unexpectedly \(ZeroDivisionError: a slip\)"),
         (partial(open_nothing, "die"), SourceError, r"ended with status -11 while opening"),
-        (lambda progress: None, SourceError, r"cannot be pickled .*use a function of a module"),
+        (lambda progress: None, SourceError, r"cannot be sent to the capture process .*use a function of a module"),
     ],
 )
 def test_what_cannot_be_opened_says_so_as_without_the_process(nothing_left, opener, kind, sentence):

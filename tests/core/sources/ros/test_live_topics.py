@@ -148,7 +148,7 @@ def test_a_lens_that_is_unknown_is_named_and_a_file_replaces_it(domain, tmp_path
     (tmp_path / "K.txt").write_text("610 0 424 0 610 240 0 0 1")
     chosen = f"tactile.depth=/d405/depth/image_rect_raw,tactile.info={tmp_path / 'K.txt'}"
     with cameras(domain, model="spherical"):
-        with pytest.raises(SourceError, match=r"/image_r\w+: .*lens model 'spherical'.*not among"):
+        with pytest.raises(SourceError, match=r"/image_r\w+: .*lens model 'spherical'.*known are"):
             open_topics(f"?domain={domain}", CamerasSection(), untold)
         with open_topics(f"?domain={domain}?{chosen}", CamerasSection(), untold) as source:
             assert source.rig.tactile.intrinsics.fx == 610

@@ -85,7 +85,7 @@ def test_split_files_open_without_metadata_as_a_folder_or_as_two_paths(tmp_path,
                 [1000, 1000.1, 1000.2, 1001, 1001.1, 1001.2]
             )
     parts[1].rename(folder / f"walk_0{''.join(parts[1].suffixes)}")
-    with pytest.raises(SourceError, match=r"2 recordings and no readable metadata.yaml; choose one's files"):
+    with pytest.raises(SourceError, match=r"files of 2 recordings \(drive, walk\); choose the files of one"):
         open_source(str(folder))
 
 
@@ -335,7 +335,7 @@ def test_only_images_half_a_period_apart_by_their_own_stamps_are_a_frame(tmp_pat
     with open_source(str(make_recording(tmp_path / "stopped", [near, stopped]))) as source:
         assert source.length == 2 and source.health().unmatched == 2
     ahead = depth(TOUCH, "b_optical", 390, stamps_s=(60.1, 60.2))
-    with pytest.raises(SourceError, match=r"about 60 s apart; choose others"):
+    with pytest.raises(SourceError, match=r"about 60 s apart; choose recordings of the same time"):
         open_source(str(make_recording(tmp_path / "ahead", [near, ahead])))
 
 
