@@ -97,7 +97,9 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
         return Lens(_intrinsics(pinhole))
     if name not in _PINHOLE or d.size not in _COUNTS:
         known = ", ".join(("none", "plumb_bob", "rational_polynomial", "thin_prism", "equidistant"))
-        raise SourceError(f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is none of {known}")
+        raise SourceError(
+            f"its lens model {foreign(model, 40)!r} with {d.size} coefficients is unknown; known are {known}"
+        )
     if not d[5:].any():
         brown = tuple(np.pad(d, (0, 5))[:5].tolist())
         return Lens(_intrinsics({**pinhole, "distortion": Distortion.BROWN_CONRADY, "coefficients": brown}))

@@ -219,13 +219,13 @@ def test_images_of_two_cameras_are_paired_by_time_at_most_half_a_period_apart(tm
 
 
 REFUSED = {
-    "depth as a picture": ({"proximity_depth.png": COLOR}, r"proximity_depth\.png has uint8 in .*, 3\).*picture"),
-    "8 bits": ({"tactile_depth.jpg": GRAY}, r"tactile_depth\.jpg has uint8 in"),
+    "depth as a picture": ({"proximity_depth.png": COLOR}, r"proximity_depth\.png has uint8.*, 3\).*save depth itself"),
+    "8 bits": ({"tactile_depth.jpg": GRAY}, r"tactile_depth\.jpg has uint8"),
     "npy stack": ({"proximity_depth.npy": np.zeros((2, 3, 4, 5), np.uint16)}, r"proximity_depth\.npy"),
     "two of one name": ({"proximity_depth.npy": DEPTH, "proximity_depth.png": DEPTH}, "remove one"),
     "counts beyond 16 bits": ({"proximity_depth.npy": DEPTH.astype(np.int64) * 1000}, "0 to 500000"),
     "nothing": ({"mask.png": GRAY}, "has no frames"),
-    "half": ({"proximity/depth/1.png": DEPTH}, "of the tactile camera is missing"),
+    "half": ({"proximity/depth/1.png": DEPTH}, "has depth of the proximity camera only"),
     "two depths of a frame": ({"depth/1.png": DEPTH, "depth_raw/1.png": DEPTH}, "keep one"),
     "strangers": ({"proximity_depth/1.png": DEPTH, "tactile_depth/2.png": DEPTH}, "partner"),
 }
