@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -66,4 +67,5 @@ class Context(QObject):
         return "" if self.result is None else self.result.source.name
 
     def _note_playback(self, state: PlaybackState) -> None:
-        self.playback = state
+        """Note a change of all but the frame number, that of the frame shown: results overtake such changes."""
+        self.playback = state if self.result is None else replace(state, index=self.result.playback.index)
