@@ -26,7 +26,7 @@ from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import ColorBy
 from tactune.core.sources.presets import load_preset
-from tactune.widgets.basics.gestures import new_gesture
+from tactune.widgets.basics.controls import new_gesture
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "guide" / "images"
 #: The deepest frame of the simulator's press.

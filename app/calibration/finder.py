@@ -12,8 +12,7 @@ from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError, as_sentence, counted
 from ...core.model.alignment import PointPair
 from ...core.model.frames import Rig
-from ...widgets.basics.controls import ElidedLabel, caption, named, push_button
-from ...widgets.basics.gestures import GestureClock
+from ...widgets.basics.controls import ElidedLabel, GestureClock, caption, named, push_button
 from ...widgets.basics.layouts import STRETCH, hbox
 from ..worker.jobs import Job, JobRow, Progress
 from .pictures import picture

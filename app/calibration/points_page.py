@@ -14,8 +14,7 @@ from ...core.calibration.geometry import Alignment
 from ...core.calibration.report import PairQuality
 from ...core.errors import counted
 from ...core.model.alignment import Place, PointPair, Side
-from ...widgets.basics.controls import ElidedLabel, caption, push_button
-from ...widgets.basics.gestures import GestureClock
+from ...widgets.basics.controls import ElidedLabel, GestureClock, caption, push_button
 from ...widgets.basics.layouts import hbox, splitter, vbox
 from ...widgets.basics.record_table import Column, RecordTable
 from ...widgets.images.point_image import PointImage

@@ -13,7 +13,7 @@ from ...core.contact.alignment import make_alignment
 from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig
-from ...widgets.basics.gestures import new_gesture
+from ...widgets.basics.controls import new_gesture
 from ...widgets.clouds.cloud_canvas import Place
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import as_place

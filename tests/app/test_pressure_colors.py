@@ -13,7 +13,7 @@ from tactune.app.worker.rendering import Scene, draw_strip
 from tactune.app.worker.results import CloudName, ColorBy, Wanted
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.rig.untouched import untouched_frame
-from tactune.widgets.basics.gestures import new_gesture
+from tactune.widgets.basics.controls import new_gesture
 
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
 GAUGE_PA = 2000.0

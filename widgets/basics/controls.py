@@ -1,7 +1,9 @@
-"""Controls that several windows share: buttons, labels, progress bars, a collapsible section."""
+"""Controls that several windows share: buttons, labels, progress bars, a collapsible section; gestures of editing."""
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
@@ -328,3 +330,40 @@ class CollapsibleSection(QFrame):
     def add_header_widget(self, widget: QWidget) -> None:
         """Put a widget at the right end of the header, where it stays when the section is folded."""
         self._header_layout.addWidget(widget)
+
+
+#: All edits of one drag, or of one burst of keys, share a number.
+_gesture_numbers = itertools.count(1)
+
+#: Key presses or wheel steps within this time of each other belong to one gesture, seconds.
+BURST_S = 0.8
+
+
+def new_gesture() -> int:
+    """Return a number that is unique in this process; never 0."""
+    return next(_gesture_numbers)
+
+
+class GestureClock:
+    """Assigns edits of a widget to gestures."""
+
+    def __init__(self) -> None:
+        self.held = False  # a mouse button is down
+        self._number = 0
+        self._last_s = 0.0
+
+    def hold(self) -> None:
+        self._number = new_gesture()
+        self.held = True
+
+    def release(self) -> None:
+        """End the drag, or the burst of keys; the next edit is another gesture."""
+        self.held = False
+        self._number = 0
+
+    def number(self) -> int:
+        now_s = time.monotonic()
+        if not self.held and (self._number == 0 or now_s - self._last_s > BURST_S):
+            self._number = new_gesture()
+        self._last_s = now_s
+        return self._number

@@ -14,7 +14,7 @@ from PyQt6.QtCore import QObject, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QTransform
 from PyQt6.QtWidgets import QWidget
 
-from ..basics.gestures import GestureClock
+from ..basics.controls import GestureClock
 from ..basics.theme import ACCENT, CASING
 from .image_pane import ImagePane, Rectangle
 

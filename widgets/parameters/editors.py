@@ -14,9 +14,8 @@ from PyQt6.QtGui import QFocusEvent, QFontDatabase, QKeyEvent, QKeySequence, QVa
 from PyQt6.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QLineEdit, QWidget
 
 from ...core.errors import minus
-from ..basics.controls import caption, named
+from ..basics.controls import GestureClock, caption, named, new_gesture
 from ..basics.fields import FieldSpec, format_number
-from ..basics.gestures import GestureClock, new_gesture
 from ..basics.layouts import Part, hbox
 from ..basics.theme import text_font
 from .slider import Scale, Slider

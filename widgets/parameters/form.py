@@ -9,9 +9,8 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
 
-from ..basics.controls import FoldButton, NoteLabel, TintedLabel, keep_place, tool_button
+from ..basics.controls import FoldButton, NoteLabel, TintedLabel, keep_place, new_gesture, tool_button
 from ..basics.fields import FieldSpec
-from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
 from .editors import NumbersEditor, make_editor
 

@@ -14,9 +14,8 @@ from PyQt6.QtWidgets import QLabel, QScrollArea, QSizePolicy, QToolButton, QWidg
 from ...core.model.alignment import CalibrationRecord
 from ...core.preset import CONTACT_TESTS, Preset
 from ..basics.colormaps import MASKED_RGB
-from ..basics.controls import CollapsibleSection, keep_place, tool_button, wrapped_label
+from ..basics.controls import CollapsibleSection, keep_place, new_gesture, tool_button, wrapped_label
 from ..basics.fields import FieldSpec, field_spec, section_fields
-from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 from .form import Form, ParameterRow

@@ -20,7 +20,7 @@ from PyQt6.QtGui import (
 )
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from ..basics.gestures import GestureClock
+from ..basics.controls import GestureClock
 from ..basics.theme import theme_colors
 
 _RADIUS = 6.0

@@ -13,8 +13,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import AnyArray, Float64Array
-from ..basics.controls import named
-from ..basics.gestures import GestureClock
+from ..basics.controls import GestureClock, named
 from ..basics.layouts import vbox
 from ..basics.theme import ThemeColors
 from .plot import Plot
