@@ -14,6 +14,7 @@ from tactune.core.output.cloud_files import patch_columns
 from tactune.core.rig.noise import MIN_FRAMES, measure_noise
 from tactune.core.rig.untouched import average_untouched
 from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.simulator_source import SimulatorSource
 from tactune.core.tuning.advice.findings import Examiner
@@ -189,6 +190,17 @@ def test_a_hover_that_noise_or_the_error_of_the_bias_hides_is_claimed_only_with_
     for doubt in claimed:
         assert doubt.touch_probability < SURE
         assert reason in doubt.reasons
+
+
+def test_contact_that_only_a_larger_bias_shows_is_found_where_there_is_a_dent():
+    source = open_source("sim:cup?sensor=heavy&seed=0")
+    frames, frame = list(islice(source.with_object_away(), MIN_FRAMES)), source.read(81)
+    preset = load_preset("simulator")
+    preset = preset.model_copy(update={"noise": measure_noise(frames, source.rig, preset)})
+    rests = average_untouched(frames).frame, frame, None  # against the second there is no dent
+    found, level, unknown = (ContactPipeline(preset, source.rig, rest).process(frame).mask for rest in rests)
+    assert np.count_nonzero(found & ~unknown & frame.truth.contact) > 200
+    assert (level == unknown).all()
 
 
 def test_the_table_of_faults_counts_what_is_wrong_without_a_word(monkeypatch):
