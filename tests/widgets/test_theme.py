@@ -12,9 +12,10 @@ from hands import LEFT, shown
 from tactune.core.model.patch import Provenance
 from tactune.widgets.basics import colormaps
 from tactune.widgets.basics import messages as module
+from tactune.widgets.basics.controls import TintedLabel
 from tactune.widgets.basics.messages import Messages, Severity
 from tactune.widgets.basics.style import apply_theme
-from tactune.widgets.basics.theme import theme_colors
+from tactune.widgets.basics.theme import THEME, theme_colors
 
 NAMES = ("light", "dark")
 
@@ -37,6 +38,14 @@ def test_the_button_of_the_next_step_stays_readable_under_the_mouse(qapp, qtbot,
     button.setAttribute(Qt.WidgetAttribute.WA_UnderMouse)
     image = button.grab().toImage()
     assert contrast_ratio(image.pixelColor(4, image.height() // 2).name(), theme_colors().on_accent) >= 4.5
+
+
+def test_a_coloured_label_follows_the_theme_and_leaves_nothing_behind(qapp):
+    known, label = THEME.receivers(THEME.changed), TintedLabel("failed", "error")
+    for name in reversed(NAMES):
+        apply_theme(qapp, name)
+        assert label.palette().windowText().color().name() == theme_colors(name).error
+    assert THEME.receivers(THEME.changed) == known
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -128,9 +137,6 @@ def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(view
     assert views.messages.sentences() == [] and not views.messages.isVisible()
 
 
-THEMES = ("light", "dark")
-
-
 def lab(colors):
     """CIE L*a*b* of RGB rows."""
     rgb = (np.asarray(colors, dtype=np.float32) / 255).reshape(-1, 1, 3)
@@ -153,7 +159,7 @@ def test_the_band_and_both_signs_are_told_apart_with_any_colour_vision(eye):
 
 
 @pytest.mark.parametrize("eye", EYES)
-@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("theme", NAMES)
 def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme, eye):
     lut = colormaps.provenance_lut(theme)
     context = {

@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import (
 
 from .icons import icon
 from .layouts import hbox, vbox
-from .theme import THEME, text_font, theme_colors
+from .theme import text_font, theme_colors
 
 _Widget = TypeVar("_Widget", bound=QWidget)
 
@@ -183,18 +183,20 @@ class TintedLabel(QLabel):
         super().__init__(text)
         self._color = ""
         self.tint(color)
-        THEME.changed.connect(self._recolor)
 
     def tint(self, color: str) -> None:
-        if color != self._color:
-            self._color = color
-            self._recolor()
+        before, self._color = self._color, color  # first: a change of the palette tints again
+        if color or before:
+            palette = QPalette()
+            if color:
+                palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), color)))
+            self.setPalette(palette)
 
-    def _recolor(self) -> None:
-        palette = QPalette()
-        if self._color:
-            palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), self._color)))
-        self.setPalette(palette)
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme. A connection to `THEME` would outlive the label: PyQt removes it when it next emits."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and self._color:
+            self.tint(self._color)
 
 
 class NoteLabel(TintedLabel):
