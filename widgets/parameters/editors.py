@@ -70,7 +70,8 @@ class NumberEntry(QAbstractSpinBox):
 
     def stepEnabled(self) -> QAbstractSpinBox.StepEnabledFlag:
         step = QAbstractSpinBox.StepEnabledFlag
-        return step.StepUpEnabled | step.StepDownEnabled  # `stepBy` stops at the ends
+        up = step.StepUpEnabled if self._value < self._spec.maximum else step.StepNone
+        return up | (step.StepDownEnabled if self._value > self._spec.minimum else step.StepNone)
 
     def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
         """Accept any text; `refused` reports an invalid one once it is entered."""
