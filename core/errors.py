@@ -59,8 +59,11 @@ def extra(module: str, what: str, name: str) -> Any:
     """Import a package of an optional extra; `MissingExtraError` says what needs it, and how it is installed."""
     try:
         return import_module(module)
-    except (ImportError, OSError) as error:  # OSError: a system library is missing
+    except ModuleNotFoundError as error:
         raise MissingExtraError(f"{what} needs {module} ({error}): pip install 'tactune[{name}]'") from error
+    except (ImportError, OSError) as error:
+        remedy = f"install the system library that is missing, or pip install --force-reinstall 'tactune[{name}]'"
+        raise MissingExtraError(f"{what} needs {module}, which cannot be loaded ({error}): {remedy}") from error
 
 
 @contextmanager

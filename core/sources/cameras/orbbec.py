@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...errors import SourceError, closed_on_error, extra, foreign
+from ...errors import MissingExtraError, SourceError, closed_on_error, foreign
 from ...model.frames import DepthCamera, Matrix4, camera_pose, pose_matrix
 from ...model.loading import decode_image
 from ..base import CameraOption, CameraRole
@@ -90,7 +91,11 @@ class OrbbecDriver(CameraDriver):
 
 def load_sdk() -> Any:
     """Import the SDK, and keep it from writing a log into the folder in which the program was started."""
-    sdk = extra("pyorbbecsdk", "an Orbbec camera", "orbbec")
+    try:
+        sdk: Any = importlib.import_module("pyorbbecsdk")
+    except ImportError as error:  # the extra would install what the SDK demands, too: another NumPy and Open3D
+        remedy = "install it with pip install --no-deps pyorbbecsdk2"
+        raise MissingExtraError(f"Orbbec's SDK cannot be loaded ({error}); {remedy}") from error
     sdk.Context.set_logger_level(sdk.OBLogLevel.NONE)
     return sdk
 

@@ -1,7 +1,7 @@
 """Assignment of devices to roles, and pairing by time, on plain numbers."""
 
 import itertools
-import re
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import example, given
@@ -72,17 +72,16 @@ def test_which_drivers_know_the_l515():
 
 
 @pytest.mark.parametrize(
-    "error", [ModuleNotFoundError("No module named 'pyrealsense2'"), ImportError("undefined symbol: x\n")]
+    ("error", "words"),
+    [
+        (ModuleNotFoundError("No module named 'pyrealsense2'"), "needs pyrealsense2 .*: pip install"),
+        (ImportError("undefined symbol: x\n"), "symbol: x.* system library .*pip install --force-reinstall"),
+    ],
 )
-def test_a_driver_that_cannot_be_loaded_is_one_sentence(error, monkeypatch):
-    def refuse(name):
-        assert name == "pyrealsense2"
-        raise error
-
-    monkeypatch.setattr(errors, "import_module", refuse)
-    with pytest.raises(MissingExtraError, match=r"(No module|symbol: x).*pip install 'tactune\[realsense\]'") as caught:
+def test_a_driver_that_cannot_be_loaded_is_one_sentence(error, words, monkeypatch):
+    monkeypatch.setattr(errors, "import_module", Mock(side_effect=error))
+    with pytest.raises(MissingExtraError, match=rf"{words} 'tactune\[realsense\]'$"):
         driver.load_driver()
-    assert re.search(r"[\n]", str(caught.value)) is None
 
 
 PERIOD_S = 1 / 30
