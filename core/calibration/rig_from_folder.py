@@ -12,7 +12,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from ..errors import CalibrationError, foreign
+from ..errors import CalibrationError, SourceError, foreign
 from ..model.arrays import AnyArray
 from ..model.clouds import valid_depth
 from ..model.frames import MAX_UNIT_M, ColorCamera, DepthCamera, Matrix4, Rig
@@ -236,7 +236,10 @@ def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
         fx, fy, cx, cy = map(float, how.split(","))
     except ValueError as error:
         raise CalibrationError(f"{foreign(option, 80)!r}: write four numbers, fx,fy,cx,cy in px") from error
-    return make_lens("none", (), (fx, 0, cx, 0, fy, cy, 0, 0, 1), size)
+    try:
+        return make_lens("none", (), (fx, 0, cx, 0, fy, cy, 0, 0, 1), size)
+    except SourceError as error:
+        raise CalibrationError(f"{foreign(option, 80)!r}: {error}") from error
 
 
 def _units(text: str | None) -> dict[str, float]:

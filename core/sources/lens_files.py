@@ -84,7 +84,8 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
     k = k.reshape(3, 3)
     if abs(k[0, 1]) > 1e-6 * abs(k[0, 0]):
         raise SourceError(f"its K has a skew of {k[0, 1]:g}, which no lens here has")
-    pinhole = {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "width": size[0], "height": size[1]}
+    (fx, _, cx), (_, fy, cy), _ = k.tolist()
+    pinhole = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": size[0], "height": size[1]}
     if name in _FISHEYE:
         if d.size > 4:
             raise SourceError(f"its lens model {name!r} has {d.size} coefficients; 4 are needed")

@@ -265,6 +265,7 @@ UNITS = {  # unit, proximity, tactile: unit of both in metres or what refuses it
     "metres for counts": ("m", LENS, LENS, "a count is at most", None),
     "a model with nothing behind it": ("mm", "L515=", LENS, (0.001, 0.001), None),
     "no such lens": ("mm", "none.yaml", LENS, "none.yaml: No such file.*check the path", None),
+    "a lens of nothing": ("mm", "D405=0,30,15,11", LENS, r"'D405=0,30,15,11': its lens .*fx is 0\.0", None),
     "no lens": ("mm", None, LENS, "lens of the proximity camera is unknown", None),
 }
 
