@@ -57,7 +57,8 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
     fit = _fit(found, rig)
     if fit.rms_px > _MAX_RMS_PX:
         raise CalibrationError(
-            f"places that look alike agree only to {fit.rms_px:.1f} px; check that it is one scene, or click the points"
+            f"places that look alike agree only to {fit.rms_px:.1f} px, right ones to {_MAX_RMS_PX:g} px; "
+            "check that both images show the same scene, or click the points"
         )
     kept = found[fit.inliers]
     best_first = kept[np.argsort(-kept[:, 6], kind="stable")].tolist()

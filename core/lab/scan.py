@@ -139,7 +139,8 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
     touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
     areas = scan.areas_m2[touching]
     if areas.sum() / spacing_m**2 > _MAX_POINTS:
-        raise TactuneError(f"the painted contact has {1e4 * areas.sum():.3g} cm2; check the scan's unit and the colour")
+        found = f"the painted contact is too large, {1e4 * areas.sum():.3g} cm2"
+        raise TactuneError(f"{found}; check the scan's unit and the paint's colour")
     if len(touching) == 0:
         return np.empty((0, 3)), np.empty((0, 3))
     count = max(round(areas.sum() / spacing_m**2), 1)

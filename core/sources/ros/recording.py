@@ -240,7 +240,8 @@ def _color(bag: Bag, frames: Frames, color: ImageTopic, depth: ImageTopic, lens:
         raise GapError(f"{color.name} has no colour that is known: its encoding is {foreign(color.encoding, 40)!r}")
     pose = frames.pose(color.frame, depth.frame)
     if pose is None:
-        raise GapError(f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}")
+        told = f"no fixed transform joins its frame {color.frame!r} to the depth's, {depth.frame!r}"
+        raise GapError(f"{told}; give /tf_static, or colour that is aligned to the depth")
     if not color.info and color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
         return lens, pose  # aligned to the depth
     return _lens(bag, color, color.info), pose
