@@ -105,9 +105,15 @@ class CloudView(QWidget):
         arrives = cloud is not None and self.canvas.cloud is None
         self.canvas.cloud = cloud
         self._show_notice()
-        if arrives and not self._steered:
+        if cloud is not None and not self._steered and (arrives or not self._inspects and self._overflows(cloud)):
             self.fit()
         self.canvas.update()
+
+    def _overflows(self, cloud: DepthCloud) -> bool:
+        """Tell whether a cloud has grown beyond the view, as a patch does while the object is pressed deeper."""
+        size = self._size()
+        seen = self.camera().project(cloud.points(), *size)[:, :2]
+        return bool(((seen < 0) | (seen > size)).any())
 
     def cloud(self) -> DepthCloud | None:
         """Return the cloud that is shown, left of the wipe if there is one."""
