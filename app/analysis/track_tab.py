@@ -161,9 +161,9 @@ class TrackTab(LiveTab):
         self.scene.set_point_size(2)
         self.scene.set_message("No patch yet: show a frame with contact in the main window")
         entries = (self.open_button, self.simulated, self.track_button)
-        self.top.addLayout(hbox(*entries, STRETCH, JobRow(self._loading)))
+        self.top.addLayout(hbox(*entries, STRETCH))
         side = QWidget()
-        vbox(self.guide, self.pose, STRETCH, within=side, margins=0)
+        vbox(self.guide, self.pose, JobRow(self._loading), STRETCH, within=side, margins=0)
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, (self.scene, 1), side, sizes=(600, 340)))
 
     @property

@@ -38,8 +38,8 @@ def suggest(
         list[str] | None,
         typer.Option(
             metavar="SECTION",
-            help="mask, contact_test, alignment, tolerance, outliers or pressure; may be repeated. Default: all "
-            "that the contact test reads.",
+            help="mask, contact_test, alignment, tolerance or pressure; may be repeated. Default: all that the "
+            "contact test reads.",
         ),
     ] = None,
     frame: FrameOption = None,

@@ -114,7 +114,7 @@ class FoxgloveSink:
         except (OSError, OverflowError, ValueError) as error:
             self._thread.join()
             self._thread = None
-            reason = str(error).rpartition(": ")[2]
+            reason = str(getattr(error, "strerror", None) or error).rpartition(": ")[2]
             raise PublishError(
                 f"Foxglove cannot listen on {self._host}, port {self._port} ({reason[:1].upper()}{reason[1:]}); "
                 "end the program that listens there, or choose another port and an address of this computer"

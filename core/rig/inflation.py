@@ -135,7 +135,7 @@ def read_forces(path: Path | str) -> Forces:
     header, rows = read_table(path, "forces")
     keys = [name for name in ("frame", "time_s") if name in header]
     if len(keys) != 1 or "force_n" not in header:
-        raise CalibrationError(f"{path}: the columns are {foreign(', '.join(header), 80)}; they should be {_COLUMNS}")
+        raise CalibrationError(f"{path}: the columns are {foreign(', '.join(header), 80) or 'missing'}; use {_COLUMNS}")
     places = header.index(keys[0]), header.index("force_n")
     table = np.full((len(rows), 2), math.nan)
     for index, (line, row) in enumerate(rows):

@@ -105,7 +105,7 @@ class CloudView(QWidget):
         arrives = cloud is not None and self.canvas.cloud is None
         self.canvas.cloud = cloud
         self._show_notice()
-        if cloud is not None and not self._steered and (arrives or not self._inspects and self._overflows(cloud)):
+        if cloud is not None and not self._steered and (arrives or (not self._inspects and self._overflows(cloud))):
             self.fit()
         self.canvas.update()
 

@@ -268,7 +268,7 @@ def open_bag(paths: Sequence[Path], progress: Progress | None = None) -> Bag:
             return SqliteBag(path)
         if start.startswith(ROS1_MAGIC):
             return Ros1Bag(path)
-        if start.startswith(MAGIC) or MAGIC.startswith(start):
+        if start and MAGIC.startswith(start[: len(MAGIC)]):
             return McapBag(path, progress)
         raise DamagedFileError("it begins neither as a ROS 1 bag nor as MCAP or SQLite" if start else "it is empty")
 

@@ -163,7 +163,7 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the tolerance that the measured noise asks for."""
     noise = evidence.preset.noise
     if noise is None:
-        raise AdviceError("tolerance: the noise of both cameras tells the tolerance; measure it (F6)")
+        raise AdviceError("tolerance: measure the noise of both cameras (F6, tactune preset measure-rig)")
     sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
     distance_m = noise.tactile.distance_m
     return _proposal(
@@ -180,7 +180,7 @@ def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the smallest pressure that the measured noise allows, as a share of the inflation."""
     preset, untouched = evidence.preset, evidence.untouched
     if preset.noise is None or untouched is None:
-        raise AdviceError("pressure: noise and untouched frame tell the limit; capture it and measure the noise (F6)")
+        raise AdviceError("pressure: capture the untouched frame; measure the noise (F6, tactune preset measure-rig)")
     in_use = preset.with_value("contact_test", "pressure")
     facts = ContactPipeline(in_use, evidence.rig, untouched).process(untouched).pressure
     if facts is None or not math.isfinite(facts.relative_sigma):

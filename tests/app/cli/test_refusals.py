@@ -17,6 +17,7 @@ REFUSED = [
     ("run --source simulator --json", "simulator"),
     ("run --source sim:cup?press= --json", "press is ''"),
     ("run --source rosbag:OUT", "holds no recording"),
+    ("run --source rosbag:/dev/null", "it is empty"),
     ("run --source IN --out=", "--out' / '-o': it is empty"),
     ("serve --source IN --unit mm", "--unit is the unit of --mesh"),
     ("serve --source IN --origin https://a.b/c", "the origin is 'https://a.b/c'"),
