@@ -115,10 +115,12 @@ def with_topics(source: str, topics: list[str] | None) -> str:
     """Return the name of a source with the topics that its images are on."""
     if not topics:
         return source
+    from ...core.sources.registry import opens_by_name
     from ...core.sources.ros.topics import parse_topics
 
     named = ",".join(f"{slot}={topic}" for slot, topic in parse_topics(",".join(topics)).items())
-    return f"{source}?{named}"
+    colon = ":" if ":" not in source and opens_by_name(source) else ""
+    return f"{source}{colon}?{named}"
 
 
 def refuse_existing(path: Path) -> None:

@@ -39,11 +39,7 @@ class MembraneTest(ContactTest):
     looser_words = "raise the largest gap"
     drop_reasons = {
         Provenance.MASKED: MASK_REASON,
-        Provenance.RIM: DropReason(
-            "the membrane's equilibrium",
-            "if something touches, measure the rig's bias (F6)",
-            "measure_noise",
-        ),
+        Provenance.RIM: DropReason("the membrane's equilibrium", "measure the rig's bias (F6)", "measure_noise"),
         Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
     }
     frames_field = "membrane.frames"

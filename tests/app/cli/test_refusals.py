@@ -16,6 +16,7 @@ SETTINGS = [
 REFUSED = [
     ("run --source simulator --json", "simulator"),
     ("run --source sim:cup?press= --json", "press is ''"),
+    ("run --source sim --topics proximity.depth=/a", "the simulator has no option 'proximity.depth'"),
     ("run --source rosbag:OUT", "holds no recording"),
     ("run --source rosbag:/dev/null", "it is empty"),
     ("run --source IN --out=", "--out' / '-o': it is empty"),
