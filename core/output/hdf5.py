@@ -86,7 +86,7 @@ class _Disk:
         try:
             yield
         except OSError as error:
-            self._error = error
+            self._error = self._error or error  # the first is the cause
 
     def check(self) -> None:
         """Raise the error of a write that failed."""
