@@ -135,6 +135,7 @@ def test_the_expected_error_is_the_one_that_happens(rig):
     ("change", "words"),
     [
         (lambda pairs: [*pairs, changed(pairs[0], id="again", tactile_depth_m=0.2)], "1 and again are the same points"),
+        (lambda pairs: [*pairs[1:], changed(pairs[0], id="2")], "two pairs have the id 2"),
         (lambda pairs: pairs[:3], "at least 4"),
         (lambda pairs: [changed(pair, enabled=False) for pair in pairs], "there are 0"),
         (lambda pairs: [changed(p, proximity_u=u) for p, u in zip(pairs, RANDOM.tolist(), strict=True)], "agree"),
