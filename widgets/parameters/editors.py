@@ -70,8 +70,7 @@ class NumberEntry(QAbstractSpinBox):
 
     def stepEnabled(self) -> QAbstractSpinBox.StepEnabledFlag:
         step = QAbstractSpinBox.StepEnabledFlag
-        up = step.StepUpEnabled if self._value < self._spec.maximum else step.StepNone
-        return up | (step.StepDownEnabled if self._value > self._spec.minimum else step.StepNone)
+        return step.StepUpEnabled | step.StepDownEnabled  # `stepBy` stops at the ends
 
     def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
         """Accept any text; `refused` reports an invalid one once it is entered."""
