@@ -21,10 +21,11 @@ _UNKNOWN = "–"
 
 
 def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
-    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate; none without a patch."""
+    """Return the numbers that stand on the patch: area, doubt, centroid and frame rate; only this without a patch."""
     patch, doubt = result.patch, result.doubt
+    rate = [Reading(f"{shown_fps:.0f} fps", "frame rate", "00 fps")] if result.playback.playing else []
     if patch is None:
-        return ()
+        return tuple(rate)
     touches = boundary = centroid = _UNKNOWN
     if patch.centroid_m is not None:
         x, y, z = (1e3 * value for value in patch.centroid_m)
@@ -37,7 +38,6 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
     if patch.pressure is not None:
         names = ("force over inflation", "00,000 ± 0,000 mm²") if patch.force_n is None else ("force", "00.00 ± 0.00 N")
         force = [Reading((result.area_mm2 > 0 and patch.pressure.words()) or _UNKNOWN, *names)]
-    rate = [Reading(f"{shown_fps:.0f} fps", "frame rate", "00 fps")] if result.playback.playing else []
     return (
         Reading(f"{result.area_mm2:,.0f} mm²", "area", "00,000 mm²"),
         Reading(touches, "touches", "100 %"),

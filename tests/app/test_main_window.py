@@ -232,6 +232,8 @@ def test_the_numbers_say_how_sure_the_patch_is_and_why(bar):
     doubtful = replace(result, area_mm2=300.0, doubt=Doubt(0.609, 2.34, ("no dent",)))
     values = [reading.value for reading in patch_readings(doubtful, 30.0)]
     assert values[:3] == ["300 mm²", "60 %", "±2.3 mm"]
+    no_patch = replace(result, patch=None, playback=PlaybackState(playing=True))
+    assert [reading.value for reading in patch_readings(no_patch, 29.6)] == ["30 fps"]
     bar.show_result(doubtful)
     assert "Doubts about contact: no dent" in bar.details.text()
 
