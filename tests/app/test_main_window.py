@@ -19,7 +19,7 @@ from tactune.app.window.toolbar import FrameNumber
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor, told_doubt
 from tactune.app.worker.reading import SourceRequest
-from tactune.app.worker.results import CloudName, ColorBy, SourceInfo, SourceState, Wanted
+from tactune.app.worker.results import CloudName, ColorBy, SourceInfo, Wanted
 from tactune.core.errors import SourceError
 from tactune.core.model.patch import Doubt
 from tactune.core.preset import Preset
@@ -236,17 +236,6 @@ def test_the_numbers_say_how_sure_the_patch_is_and_why(bar):
     assert [reading.value for reading in patch_readings(no_patch, 29.6)] == ["30 fps"]
     bar.show_result(doubtful)
     assert "Doubts about contact: no dent" in bar.details.text()
-
-
-def test_the_state_is_said_in_a_word_or_two(bar):
-    said = []
-    for state in (PlaybackState(length=8, playing=True), PlaybackState(length=8), PlaybackState(playing=True)):
-        bar.show_playback(state)
-        said.append(bar.state.text())
-    assert said == ["Playing", "Paused", "Live"]
-    bar.show_recording(True)
-    bar.show_state(SourceState(stale=True))
-    assert bar.state.text() == "Recording, no frames"
 
 
 def test_enter_goes_to_the_typed_frame_and_escape_brings_the_shown_one_back(qtbot):
