@@ -132,7 +132,7 @@ def test_two_files_are_one_source_in_either_order(tmp_path, swapped):
         assert frame.skew_s == pytest.approx(-0.004, abs=1e-6)
         assert frame.proximity_time_s == pytest.approx(EPOCH_S + 0.004 + 2 * RATE_S, abs=1e-6)
     files[0].write_bytes(b"")
-    with pytest.raises(SourceError, match=f"{files[0].name}: this is no readable RealSense recording"):
+    with pytest.raises(SourceError, match=f"{files[0].name}: this is no readable ROS recording"):
         open_source(name)
 
 
