@@ -10,7 +10,6 @@ from typing import Any, Final
 
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
-from ...core.errors import as_sentence
 from ...core.model.files import write_csv
 from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.layouts import hbox, vbox
@@ -160,4 +159,4 @@ class LiveTab(AnalysisTab):
 
     def _complain(self, key: str, sentence: str) -> None:
         if sentence:
-            self.messages.show_message(key, Severity.ERROR, as_sentence(sentence))
+            self.messages.show_message(key, Severity.ERROR, sentence)

@@ -15,7 +15,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QLabel, QWidget
 from scipy.spatial.transform import Rotation
 
-from ...core.errors import MissingExtraError, as_sentence, minus
+from ...core.errors import MissingExtraError, minus
 from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error, pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
@@ -198,7 +198,7 @@ class TrackTab(LiveTab):
         self._show()
 
     def _tell_loading(self, failure: str) -> None:
-        self.messages.state("mesh", Severity.WARNING, failure and as_sentence(failure))
+        self.messages.state("mesh", Severity.WARNING, failure)
 
     # Tracking
 

@@ -33,6 +33,8 @@ OTHER_TASK: Final = "Another window takes frames at present: cancel that first, 
 class MeasuringStep(QWidget):
     """Base of panels that take frames, of a recording too, work on them, and change the preset as one undo step."""
 
+    #: Its name, also in the Edit menu, and what it wants.
+    title, intro = "", ""
     #: Text, tooltip and, where there is one, key of the button that begins.
     button: tuple[str, ...]
     #: The preset field that the result, a model, becomes; empty for none.
@@ -254,7 +256,7 @@ class MeasuringStep(QWidget):
         self._show_busy()
         self.show_found(found)
         if changes := self.changes():
-            self._document.edit_many(changes)
+            self._document.edit_many(changes, title=self.title)
         self.ended.emit(True)
 
     def _fail(self, sentence: str) -> None:

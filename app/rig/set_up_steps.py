@@ -40,9 +40,8 @@ _RECENT: Final = 4
 
 
 class SetUpStep(MeasuringStep):
-    """A step of the guided set-up: also its title, what it needs, and when it is done."""
+    """A step of the guided set-up: also what it needs, and when it is done."""
 
-    title, intro = "", ""
     #: Whether a rig with one camera leaves it out.
     two_cameras = False
 

@@ -111,7 +111,7 @@ class WatchControl(QObject):
         if first is not None:
             self.first = first
             if first.state == "good":
-                messages.show_message(_KEY, Severity.INFO, as_sentence(first.sentence), subject=SOURCE)
+                messages.show_message(_KEY, Severity.INFO, first.sentence, subject=SOURCE)
             elif isinstance(first.alignment, Drift) and first.alignment.recalibrate:
                 self._warn(first.alignment.sentence, ("calibrate",))
         if report is None:

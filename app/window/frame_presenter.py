@@ -7,7 +7,7 @@ import math
 from PyQt6.QtCore import QObject
 
 from ...core.contact.pipeline import ContactPatch
-from ...core.errors import as_sentence, minus
+from ...core.errors import minus
 from ...core.model.patch import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.messages import Severity
@@ -116,8 +116,7 @@ class FramePresenter(QObject):
 
     def show_state(self, state: SourceState) -> None:
         """Show the state of the source: badges over old images, other problems as a message."""
-        message = state.health.message
-        self._messages.state("health", Severity.WARNING, as_sentence(message) if message else "", SOURCE)
+        self._messages.state("health", Severity.WARNING, state.health.message, SOURCE)
         self._status.show_state(state)
         shown = self._context.result is not None
         self._badges = {name: badge(state, roles, shown) for name, roles in _CAMERAS.items()}

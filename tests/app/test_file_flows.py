@@ -109,7 +109,7 @@ def test_another_recording_ends_an_animation_with_a_sentence(window, qtbot, tmp_
     type_path(qtbot, tmp_path / "second.gif")
     qtbot.waitUntil(lambda: any("export is running" in each for each in window.messages.sentences()))
     drop(window, tmp_path / "recording")
-    qtbot.waitUntil(lambda: any("another source" in each for each in window.messages.sentences()))
+    qtbot.waitUntil(lambda: any("Another source" in each for each in window.messages.sentences()))
     assert not list(tmp_path.glob("*.mp4"))
     assert window.result.source.name == f"folder:{tmp_path / 'recording'}" and window.result.source.length == 2
     assert "recording" in window.mode_bar.source.text()

@@ -127,11 +127,11 @@ def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(view
     views.messages.show_message("left", Severity.ERROR, "left", subject="other")
     views.messages.show_message("of", Severity.ERROR, "of the source", subject="source")
     views.messages.clear_subject("source")
-    assert views.messages.sentences() == ["cross", "escape", "left"]
+    assert views.messages.sentences() == ["Cross.", "Escape.", "Left."]
     views.messages.clear("left")
     assert views.messages.focus_newest()
     QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Escape)
-    assert views.messages.sentences() == ["cross"]
+    assert views.messages.sentences() == ["Cross."]
     [cross] = views.messages.by_key["cross"].findChildren(QToolButton)
     QTest.mouseClick(cross, LEFT, pos=QPoint(4, 4))
     assert views.messages.sentences() == [] and not views.messages.isVisible()

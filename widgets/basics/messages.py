@@ -19,6 +19,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.errors import as_sentence
 from .controls import push_button, shortened, timer, tool_button, wrapped_label
 from .layouts import STRETCH, hbox, vbox
 
@@ -163,7 +164,7 @@ class Messages(QWidget):
 
         ``details`` are shown on request, such as a traceback; ``subject`` is for `clear_subject`.
         """
-        old = self.by_key.get(key)
+        old, sentence = self.by_key.get(key), as_sentence(sentence)
         if old is not None and old.sentence == sentence:
             old.run()
             return

@@ -56,6 +56,7 @@ def test_one_click_sets_up_the_simulated_rig(qtbot, make_window, tmp_path):
     window.document.save(tmp_path / "mine.json")
     window.document.edit("membrane.gap_m", 0.001)
     assert set_up.verdict.mark.text() == "○", "the verdict was about other values"
+    assert window.document.undo_stack.text(4) == "Mask, test and limits"
     for _ in range(4):  # each step is one: the suggestions go
         window.document.undo_stack.undo()
     assert not window.document.preset.mask.enabled and window.document.preset.noise is not None
