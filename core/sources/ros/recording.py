@@ -290,6 +290,9 @@ class RosSource(RecordedSource):
 
     def _stated_rig(self, chosen: Topics) -> StatedRig:
         images = survey(self._bag)
+        if not self._bag.types:
+            cut = "" if self._bag.complete else ": it was cut off"
+            raise SourceError(f"{self._path} has no messages{cut}; choose another")
         try:
             return stated_rig(self._bag, images, self._bag.types, chosen)
         except GapError as gap:

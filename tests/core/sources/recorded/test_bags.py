@@ -134,6 +134,9 @@ def test_two_files_are_one_source_in_either_order(tmp_path, swapped):
     files[0].write_bytes(b"")
     with pytest.raises(SourceError, match=f"{files[0].name}: this is no readable ROS recording"):
         open_source(name)
+    files[1].write_bytes(files[1].read_bytes()[:4200])  # the header alone
+    with pytest.raises(SourceError, match=f"{files[1].name} has no messages: it was cut off"):
+        open_source(f"bag:{files[1]}")
 
 
 def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moments(open_bag, tmp_path):
