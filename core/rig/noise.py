@@ -185,7 +185,7 @@ def _camera_noise(
         mean = np.asarray(added / count, np.float32)
     seen = count >= _MIN_SEEN * len(depths)
     if seen.mean() < _MIN_USABLE:
-        raise FrameError(f"the {role} camera sees depth in {100 * seen.mean():.1f} % of its image only; check its view")
+        raise FrameError(f"the {role} camera sees depth in only {100 * seen.mean():.1f} % of its image; check its view")
     squares, pairs = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
     for before, after in pairwise(depths):
         difference = after - before
