@@ -123,13 +123,15 @@ def calibrate(
 
 def _refuse_repeated(pairs: list[PointPair]) -> None:
     seen: dict[object, str] = {}
+    ids: set[str] = set()
     for pair in pairs:
-        if pair.id in seen.values():  # the report names pairs by it
+        if pair.id in ids:  # the report names pairs by it
             raise CalibrationError(f"two pairs have the id {pair.id}; give each pair its own")
         place = (pair.proximity, pair.proximity_image, pair.tactile)
         if place in seen:
             raise CalibrationError(f"pairs {seen[place]} and {pair.id} are the same points; delete one of them")
         seen[place] = pair.id
+        ids.add(pair.id)
 
 
 def _try_rigid(points: PointArrays, ids: list[str], rig: Rig) -> tuple[Fit | None, DepthOffset | None, str]:

@@ -110,9 +110,9 @@ class CloudView(QWidget):
         self.canvas.update()
 
     def _overflows(self, cloud: DepthCloud) -> bool:
-        """Tell whether a cloud has grown beyond the view, as a patch does while the object is pressed deeper."""
+        """Tell whether what `fit` frames of a cloud is beyond the view, as a patch that grows while it is pressed."""
         size = self._size()
-        seen = self.camera().project(cloud.points(), *size)[:, :2]
+        seen = self.camera().project(cloud.points(_FRAMING_STEP), *size)[:, :2]
         return bool(((seen < 0) | (seen > size)).any())
 
     def cloud(self) -> DepthCloud | None:
