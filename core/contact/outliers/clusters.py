@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, IndexArray
-from ...model.clouds import connected_groups, pixel_areas_m2
 from ...model.intrinsics import Intrinsics
 from ...model.patch import Candidates
 from ..kernels.compiling import kernel
+from ..kernels.threads import scratch
 
 
 def without_small_clusters(candidates: Candidates, camera: Intrinsics, min_area_mm2: float) -> Candidates:
@@ -24,9 +24,60 @@ def in_large_cluster(
     """Return which pixels (flat, ascending) with these depths belong to an 8-connected group of at least the area."""
     if min_area_mm2 <= 0 or len(depth_m) == 0:
         return np.ones(len(depth_m), bool)
-    groups = connected_groups(pixels, intrinsics.width)
-    areas_mm2 = 1e6 * np.bincount(groups, pixel_areas_m2(depth_m, intrinsics))
-    return np.asarray((areas_mm2 >= min_area_mm2)[groups])
+    count, is_large = len(pixels), np.empty(len(pixels), np.bool_)
+    starts, parents = scratch("starts", count + 1, np.int64), scratch("parents", count, np.int64)
+    areas, pixel_share = scratch("areas", count, np.float64), intrinsics.fx * intrinsics.fy
+    _mark_large(pixels, depth_m, intrinsics.width, pixel_share, min_area_mm2, starts, parents, areas, is_large)
+    return is_large
+
+
+@kernel
+def _root(parents: Any, run: Any) -> Any:
+    while parents[run] != run:
+        parents[run] = parents[parents[run]]
+        run = parents[run]
+    return run
+
+
+@kernel
+def _mark_large(
+    pixels: Any, depths: Any, width: Any, pixel_share: Any, min_area_mm2: Any,
+    starts: Any, parents: Any, areas: Any, is_large: Any,
+) -> None:  # fmt: skip
+    """Join runs of neighbouring pixels to those that they touch in the row above; tell whose groups are large.
+
+    A pixel covers the square of its depth over ``pixel_share``. ``starts``, ``parents`` and ``areas`` are buffers with
+    one element a run; its group is that of its parent, the first run of a group being its own. OpenCV's labels of the
+    image take twice as long, and push the next frame out of the processor's cache.
+    """
+    count = len(pixels)
+    runs = 0
+    for i in range(count):
+        if i == 0 or pixels[i] != pixels[i - 1] + 1 or pixels[i] % width == 0:
+            starts[runs] = i
+            parents[runs] = runs
+            areas[runs] = 0.0
+            runs += 1
+    starts[runs] = count
+    above = 0
+    for run in range(runs):
+        first, last = pixels[starts[run]], pixels[starts[run + 1] - 1]
+        row = first // width * width
+        left, right = max(first - 1, row) - width, min(last + 1, row + width - 1) - width
+        while pixels[starts[above + 1] - 1] < left:
+            above += 1
+        other = above
+        while other < run and pixels[starts[other]] <= right:
+            a, b = _root(parents, run), _root(parents, other)
+            parents[max(a, b)] = min(a, b)
+            other += 1
+    for run in range(runs):
+        parents[run] = _root(parents, run)
+        for i in range(starts[run], starts[run + 1]):
+            areas[parents[run]] += np.float64(depths[i]) * np.float64(depths[i]) / pixel_share
+    for run in range(runs):
+        for i in range(starts[run], starts[run + 1]):
+            is_large[i] = 1e6 * areas[parents[run]] >= min_area_mm2
 
 
 def keep(candidates: Candidates, which: BoolArray) -> Candidates:

@@ -11,13 +11,14 @@ computed by a k-d tree, which takes about as long again, with Open3D's bits.
 
 from __future__ import annotations
 
-import math
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
 from ...model.patch import Candidates
+from ..kernels.compiling import kernel
 from ..kernels.simd import LANES
 from ..kernels.threads import get_threads, in_parallel, scratch
 from .clusters import keep
@@ -148,9 +149,25 @@ def surely_below_threshold(means: Float64Array, ratio: float) -> BoolArray | Non
     If every mean has a relative error of at most `UNCERTAINTY`, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
-    centre, root = means.mean(), math.sqrt(len(means) - 1)
-    threshold = centre + ratio * math.sqrt(np.square(means - centre).sum()) / root
-    norm = math.sqrt(np.square(means).sum()) / root
-    error = UNCERTAINTY * (centre + ratio * norm) * (1 + 1e-6)
-    certain = (means > _MIN_MEAN_M) & (np.abs(means - threshold) > error + UNCERTAINTY * means)
-    return np.asarray(means < threshold) if certain.all() else None
+    inliers = np.empty(len(means), np.bool_)
+    return inliers if _compare(means, ratio, inliers) else None
+
+
+@partial(kernel, fastmath={"reassoc"})  # any order of a sum will do, so several are added up side by side
+def _compare(means: Any, ratio: Any, inliers: Any) -> Any:
+    """Write which means are below the threshold; return whether that is certain."""
+    count = len(means)
+    total, squares, centred = 0.0, 0.0, 0.0
+    for i in range(count):
+        total += means[i]
+        squares += means[i] * means[i]
+    centre = total / count
+    for i in range(count):
+        centred += (means[i] - centre) * (means[i] - centre)
+    threshold = centre + ratio * np.sqrt(centred / (count - 1))
+    error = UNCERTAINTY * (centre + ratio * np.sqrt(squares / (count - 1))) * (1 + 1e-6)
+    certain = True
+    for i in range(count):
+        inliers[i] = means[i] < threshold
+        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + UNCERTAINTY * means[i]
+    return certain
