@@ -150,11 +150,11 @@ def surely_below_threshold(means: Float64Array, ratio: float) -> BoolArray | Non
     norm, so it moves by at most the norm of the errors.
     """
     inliers = np.empty(len(means), np.bool_)
-    return inliers if _compare(means, ratio, inliers) else None
+    return inliers if _compare(means, ratio, UNCERTAINTY, inliers) else None
 
 
 @partial(kernel, fastmath={"reassoc"})  # any order of a sum will do, so several are added up side by side
-def _compare(means: Any, ratio: Any, inliers: Any) -> Any:
+def _compare(means: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
     """Write which means are below the threshold; return whether that is certain."""
     count = len(means)
     total, squares, centred = 0.0, 0.0, 0.0
@@ -165,9 +165,9 @@ def _compare(means: Any, ratio: Any, inliers: Any) -> Any:
     for i in range(count):
         centred += (means[i] - centre) * (means[i] - centre)
     threshold = centre + ratio * np.sqrt(centred / (count - 1))
-    error = UNCERTAINTY * (centre + ratio * np.sqrt(squares / (count - 1))) * (1 + 1e-6)
+    error = uncertainty * (centre + ratio * np.sqrt(squares / (count - 1))) * (1 + 1e-6)
     certain = True
     for i in range(count):
         inliers[i] = means[i] < threshold
-        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + UNCERTAINTY * means[i]
+        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + uncertainty * means[i]
     return certain

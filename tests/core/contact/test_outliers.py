@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import ndimage
 
 from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.clusters import in_large_cluster
@@ -81,9 +83,9 @@ def test_clouds_without_a_near_neighbour(monkeypatch, factor, max_pairs):
     assert np.array_equal(statistical_inliers(points, pixels, grid, 60, 2.0), open3d_inliers(points, 60, 2.0))
 
 
-@pytest.mark.parametrize(("area_mm2", "kept"), [(100.0, 4), (150.0, 3), (350.0, 0)])
-def test_groups_touch_at_corners_and_the_smallest_area_is_kept(area_mm2, kept):
-    mask = np.array([[1, 0, 0, 1], [0, 1, 0, 0], [1, 0, 0, 0]], bool)
-    lens = Intrinsics(width=4, height=3, fx=30.0, fy=30.0, cx=2.0, cy=1.5)  # a pixel at 0.3 m is 100 mm2
-    large = in_large_cluster(np.full(4, 0.3), np.flatnonzero(mask), lens, area_mm2 - 1e-6)
-    assert large.sum() == kept and large[2] == (kept > 0)
+@given(mask=arrays(np.bool_, (7, 5)), smallest=st.integers(1, 8))
+def test_groups_touch_at_corners_and_the_smallest_area_is_kept(mask, smallest):
+    lens = Intrinsics(width=5, height=7, fx=30.0, fy=30.0, cx=2.0, cy=1.5)  # a pixel at 0.3 m is 100 mm2
+    labels = ndimage.label(mask, np.ones((3, 3)))[0][mask]
+    large = in_large_cluster(np.full(len(labels), 0.3), np.flatnonzero(mask), lens, 100 * smallest - 1e-6)
+    assert np.array_equal(large, np.bincount(labels)[labels] >= smallest)
