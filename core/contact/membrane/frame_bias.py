@@ -59,8 +59,6 @@ _MIN_NOISE_M4, _MIN_PIXEL_SIGMA_M = 1e-11, 0.0001
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
 _MIN_PRINT_PIXELS: Final = 40
-#: Standard deviation of what a bias drifts after it was measured, metres.
-_DRIFT_SIGMA_M: Final = 0.0007
 #: On prints most differences agree with their most frequent one within this number of standard deviations of a pixel;
 #: where fewer than the second share do, the proximity camera looks through the mask's colour.
 _PRINT_SIGMAS, _MIN_AGREEING = 2.5, 0.5
@@ -180,7 +178,9 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> tuple[Ri
     change_m = mean_m - rigs.mean_m
     if not known.measured or abs(change_m) > _DISAGREE * math.hypot(sigma_m, known.sigma_m):
         return replace(rigs, mean_m=mean_m, sigma_m=sigma_m, measured=True), change_m if known.measured else 0.0
-    rig_sigma_m = math.hypot(known.sigma_m, _DRIFT_SIGMA_M)
+    # what the errors of both do not explain is drift since the rig was measured
+    drift_m2 = max(change_m**2 - sigma_m**2 - known.sigma_m**2, 0.0)
+    rig_sigma_m = math.sqrt(known.sigma_m**2 + drift_m2)
     weight = rig_sigma_m**2 / (rig_sigma_m**2 + sigma_m**2)
     both_m = rig_sigma_m * sigma_m / math.hypot(rig_sigma_m, sigma_m)
     return replace(rigs, mean_m=rigs.mean_m + weight * change_m, sigma_m=both_m), 0.0
