@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 # OpenCV reads these when it is loaded. A damaged JPEG of 1 kB may claim gigapixels, which it would fill with grey.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # messages of ours say what is wrong with an image
+os.environ.setdefault("OPENCV_THREAD_POOL_ACTIVE_WAIT_WORKER", "0")  # else its threads keep cores busy between calls
 
 if TYPE_CHECKING:
     from .calibration.calibrate import calibrate as calibrate

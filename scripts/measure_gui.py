@@ -27,7 +27,7 @@ from tactune.app.worker.reading import FrameReader
 from tactune.core.sources.presets import default_preset, load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 
-HEARTBEAT_MS = 5
+HEARTBEAT_MS = 10
 #: A round of the default recording, in which the simulator unpacks its scene.
 WARM_UP_FRAMES = 90
 _read = FrameReader._read
