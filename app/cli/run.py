@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ...core.errors import FrameError, counted, foreign
+from ...core.errors import counted, foreign
 from ...core.model.files import check_writable, finite_or_none
 from .common import (
     SOURCE,
@@ -143,14 +143,13 @@ def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iter
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
             yield lambda number, patch, frame: writer.write(patch, frame.proximity_time_s)
     else:
+        from ...core.model.frames import note_number
         from ...core.output.cloud_files import patch_columns, write_cloud
 
         seen: set[int] = set()
 
         def save(number: int, patch: ContactPatch, frame: SensorFrame) -> None:
-            if number in seen:  # a camera that was opened again may count from 0
-                raise FrameError(f"two frames have the number {number}; write the patches into a .mcap file instead")
-            seen.add(number)
+            note_number(seen, number)
             write_cloud(out / f"patch_{number:06d}.npz", patch_columns(patch, frame, source.rig))
 
         yield save

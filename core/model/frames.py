@@ -167,6 +167,15 @@ class GroundTruth:
 MAX_TIME_S = 2**31 - 1
 
 
+def note_number(seen: set[int], number: int) -> None:
+    """Add a frame's number to those ``seen``; raise `FrameError` if it is there, or negative."""
+    if number < 0:
+        raise FrameError(f"a frame has the number {number}; number the frames from 0")
+    if number in seen:
+        raise FrameError(f"two frames have the number {number}, as in merged recordings; use them one by one")
+    seen.add(number)
+
+
 class Shot(NamedTuple):
     """What one camera took: counts, uint16 (H, W), RGB, uint8 (h, w, 3), if there is any, and when."""
 

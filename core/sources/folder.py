@@ -33,7 +33,7 @@ from pydantic import Field
 from ..errors import ExportError, SourceError, writing
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.files import atomic_path, remove_leftovers, user_path
-from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot
+from ..model.frames import MAX_TIME_S, DepthCamera, GroundTruth, Rig, SensorFrame, Shot, note_number
 from ..model.intrinsics import Frozen
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, parse_rig, read_json_object, rig_to_json, validating
@@ -290,7 +290,9 @@ def _write_recording(source: FrameSource, folder: Path, frames: Iterator[SensorF
     if untouched is not None:
         _write_frame(folder / "untouched", untouched, source.rig)
     count = 0
+    seen: set[int] = set()
     for count, frame in enumerate(frames, start=1):
+        note_number(seen, frame.sequence)
         _write_frame(folder / f"{count - 1:06d}", frame, source.rig)
     return count
 
