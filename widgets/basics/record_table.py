@@ -39,6 +39,11 @@ class Column:
     sample: str = ""
     stretch: bool = False
 
+    @property
+    def alignment(self) -> Qt.AlignmentFlag:
+        side = Qt.AlignmentFlag.AlignLeft if self.decimals is None else Qt.AlignmentFlag.AlignRight
+        return side | Qt.AlignmentFlag.AlignVCenter
+
     def text(self, record: Any) -> str:
         value = self.value(record)
         if isinstance(value, str):
@@ -93,7 +98,8 @@ class _Model(QAbstractTableModel):
 
     def headerData(self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole) -> Any:
         column = self.columns[section] if orientation == Qt.Orientation.Horizontal else None
-        shown = {_Role.DisplayRole: "title", _Role.ToolTipRole: "tip"}.get(_Role(role))
+        attributes = {_Role.DisplayRole: "title", _Role.ToolTipRole: "tip", _Role.TextAlignmentRole: "alignment"}
+        shown = attributes.get(_Role(role))
         return None if column is None or shown is None else getattr(column, shown)
 
     def flags(self, index: QModelIndex) -> Qt.ItemFlag:
@@ -109,8 +115,7 @@ class _Model(QAbstractTableModel):
         elif role == _Role.CheckStateRole and column.ticked is not None:
             answer = Qt.CheckState.Checked if column.ticked(record) else Qt.CheckState.Unchecked
         elif role == _Role.TextAlignmentRole:
-            side = Qt.AlignmentFlag.AlignLeft if column.decimals is None else Qt.AlignmentFlag.AlignRight
-            answer = side | Qt.AlignmentFlag.AlignVCenter
+            answer = column.alignment
         elif role == _Role.ToolTipRole:
             answer = (column.hint(record) if column.hint is not None else "") or column.tip
         elif role == _Role.BackgroundRole and self._marked is not None and self._marked(record):

@@ -26,8 +26,8 @@ def in_large_cluster(
         return np.ones(len(depth_m), bool)
     count, is_large = len(pixels), np.empty(len(pixels), np.bool_)
     starts, parents = scratch("starts", count + 1, np.int64), scratch("parents", count, np.int64)
-    areas, pixel_share = scratch("areas", count, np.float64), intrinsics.fx * intrinsics.fy
-    _mark_large(pixels, depth_m, intrinsics.width, pixel_share, min_area_mm2, starts, parents, areas, is_large)
+    areas, focal_product = scratch("areas", count, np.float64), intrinsics.fx * intrinsics.fy
+    _mark_large(pixels, depth_m, intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, is_large)
     return is_large
 
 
@@ -41,14 +41,14 @@ def _root(parents: Any, run: Any) -> Any:
 
 @kernel
 def _mark_large(
-    pixels: Any, depths: Any, width: Any, pixel_share: Any, min_area_mm2: Any,
+    pixels: Any, depths: Any, width: Any, focal_product: Any, min_area_mm2: Any,
     starts: Any, parents: Any, areas: Any, is_large: Any,
 ) -> None:  # fmt: skip
     """Join runs of neighbouring pixels to those that they touch in the row above; tell whose groups are large.
 
-    A pixel covers the square of its depth over ``pixel_share``. ``starts``, ``parents`` and ``areas`` are buffers with
-    one element a run; its group is that of its parent, the first run of a group being its own. OpenCV's labels of the
-    image take twice as long, and push the next frame out of the processor's cache.
+    A pixel covers the square of its depth over ``focal_product``, fx fy. ``starts``, ``parents`` and ``areas`` are
+    buffers; the parent of a run is a run of the same group, that of the group's first run is itself. OpenCV's labels of
+    the image take twice as long and push the next frame out of the processor's cache.
     """
     count = len(pixels)
     runs = 0
@@ -74,7 +74,7 @@ def _mark_large(
     for run in range(runs):
         parents[run] = _root(parents, run)
         for i in range(starts[run], starts[run + 1]):
-            areas[parents[run]] += np.float64(depths[i]) * np.float64(depths[i]) / pixel_share
+            areas[parents[run]] += np.float64(depths[i]) * np.float64(depths[i]) / focal_product
     for run in range(runs):
         for i in range(starts[run], starts[run + 1]):
             is_large[i] = 1e6 * areas[parents[run]] >= min_area_mm2
