@@ -144,7 +144,9 @@ class PointsPage(QWidget):
             expected = self.partner(clicked, place) if seen and place is not None else None
             if expected is not None:
                 side = other_side(clicked)
-                self.ghost = side, self.snapped(side, expected)[0]
+                snapped = self.snapped(side, expected)[0]
+                # where nothing snaps, to accept the fit's own prediction would only confirm the fit
+                self.ghost = (side, snapped) if snapped != expected else None
         for side, image in self.images.items():
             image.layer.set_ghost(self.ghost[1] if self.ghost is not None and self.ghost[0] == side else None)
 
