@@ -63,7 +63,8 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
         f"The alignment is off by {drift:.2f} px ({drift_mm:.2f} mm){_way(offsets, drift)}, "
         f"median of {len(points)} places"
     )
-    advice = f"calibrate again, {limit:.1f} px would still be good" if drift > limit else "no need to calibrate again"
+    again = "calibrate again" if alignment.homography is None else "calibrate again by the rigid model"
+    advice = f"more than {limit:.1f} px, {again}" if drift > limit else "no need to calibrate again"
     return Drift(
         drift_px=drift,
         recalibrate=drift > limit,

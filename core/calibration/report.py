@@ -234,7 +234,7 @@ class CalibrationReport:
     @property
     def verdict(self) -> str:
         """Grade and next step, in words."""
-        return f"{grade(self.chosen)} {next_step(self.chosen, self.depth_span_mm)}"
+        return f"{grade(self.chosen)} {next_step(self.chosen, self.depth_span_mm, self.recommended)}"
 
     def to_json(self) -> dict[str, Any]:
         aligned = self.chosen.fit.alignment
@@ -318,7 +318,7 @@ def grade(quality: ModelQuality) -> str:
     )
 
 
-def next_step(quality: ModelQuality, depth_span_mm: float) -> str:
+def next_step(quality: ModelQuality, depth_span_mm: float, recommended: ModelName) -> str:
     """Return the step that improves the calibration most, one sentence."""
     used, shared = sum(pair.used for pair in quality.pairs), quality.agreement.found
     wrong = quality.excluded or [pair.id for pair in ([] if shared else quality.far_from_fit()[:3])]
@@ -334,7 +334,8 @@ def next_step(quality: ModelQuality, depth_span_mm: float) -> str:
             f"Add points at another inflation level: all lie within {depth_span_mm:.0f} mm of depth, "
             f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
         )
-    if quality.model == "homography" and quality.boundary_error_mm > GOOD_MM:
+    off_plane = quality.boundary_error_mm > GOOD_MM or (recommended == "rigid" and quality.alignment_px > GOOD_PX)
+    if quality.model == "homography" and off_plane:
         step = "Check the tactile depths and take the rigid model: off its plane this homography is wrong."
     elif quality.alignment_px > GOOD_PX:
         wanted = min(int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2)), 60)

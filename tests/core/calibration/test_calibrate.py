@@ -39,6 +39,7 @@ def test_points_that_span_depth_make_it_recommend_rigid(rig):
     assert rigid.agreement.cross_validated_px < 0.6 * plane.agreement.cross_validated_px
     assert plane.excluded == rigid.excluded == ()
     assert plane.supported_tolerance > 1.5 * rigid.supported_tolerance
+    assert "take the rigid model" in calibrate(clicked(rig, color_share=0.5), rig, "homography").verdict
     assert rigid.boundary_error_mm < plane.boundary_error_mm < 10  # 8 mm and less off its plane
 
 
