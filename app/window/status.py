@@ -34,12 +34,12 @@ def patch_readings(result: Result, shown_fps: float) -> tuple[Reading, ...]:
         touches = f"{math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
         if math.isfinite(doubt.boundary_error_mm):
             boundary = f"±{doubt.boundary_error_mm:.1f} mm"
-    force = []
+    area, force = f"{result.area_mm2:,.0f} mm²", []
     if patch.pressure is not None:
         names = ("force over inflation", "00,000 ± 0,000 mm²") if patch.force_n is None else ("force", "00.00 ± 0.00 N")
         force = [Reading((result.area_mm2 > 0 and patch.pressure.words()) or _UNKNOWN, *names)]
     return (
-        Reading(f"{result.area_mm2:,.0f} mm²", "area", "00,000 mm²"),
+        Reading(area, "area", max("00,000 mm²", area, key=len)),
         Reading(touches, "touches", "100 %"),
         Reading(boundary, "boundary", "±00.0 mm"),
         *force,

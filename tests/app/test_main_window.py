@@ -229,9 +229,9 @@ def bar(qtbot):
 def test_the_numbers_say_how_sure_the_patch_is_and_why(bar):
     info = SourceInfo("tiny", tiny_rig(), 1, 30.0)
     result = FrameProcessor().process(info, tiny_frame(3, info.rig), Preset(), Wanted(), PlaybackState())
-    doubtful = replace(result, area_mm2=300.0, doubt=Doubt(0.609, 2.34, ("no dent",)))
-    values = [reading.value for reading in patch_readings(doubtful, 30.0)]
-    assert values[:3] == ["300 mm²", "60 %", "±2.3 mm"]
+    doubtful = replace(result, area_mm2=190_574.0, doubt=Doubt(0.609, 2.34, ("no dent",)))
+    area, touches, boundary = patch_readings(doubtful, 30.0)[:3]
+    assert [area.value, area.widest, touches.value, boundary.value] == ["190,574 mm²", area.value, "60 %", "±2.3 mm"]
     no_patch = replace(result, patch=None, playback=PlaybackState(playing=True))
     assert [reading.value for reading in patch_readings(no_patch, 29.6)] == ["30 fps"]
     bar.show_result(doubtful)
