@@ -139,6 +139,9 @@ class FramePresenter(QObject):
         if histogram is not None:  # the worker counts less often than frames come
             shown = self._panel.histograms[histogram.field]
             shown.set_data(histogram.counts, histogram.edges, histogram.known)
+        elif result.patch is None:
+            for shown in self._panel.histograms.values():
+                shown.clear()
         shown_fps = self._status.show_result(result)
         readings = patch_readings(result, shown_fps) if compared is None else ()  # they belong to the picture
         self._views.views[CloudName.PATCH].set_readings(readings)

@@ -94,6 +94,9 @@ class LimitHistogram(QWidget):
         self._edges = np.asarray(edges, dtype=np.float64)
         self._draw()
 
+    def clear(self) -> None:
+        self.set_data(np.zeros(1), self._edges[[0, -1]])
+
     def set_limit(self, limit: float) -> None:
         if limit != self._limit and not self._dragging():
             self._limit = limit
