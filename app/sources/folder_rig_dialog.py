@@ -47,7 +47,7 @@ class FolderRigDialog(QDialog):
         self.note, self.about = NoteLabel(lines=3), NoteLabel()
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
         self._open = self.buttons.button(QDialogButtonBox.StandardButton.Open) or QPushButton()
-        intro = f"{folder}\nThese images have no rig.json. State what no file beside them does; Open writes it there."
+        intro = f"{folder}\nThese images have no rig.json; Open writes it. State what their files do not state."
         vbox(wrapped_label(intro), form, self.note, self.about, STRETCH, self.buttons, within=self)
         self.unit.currentTextChanged.connect(self._look)
         self.buttons.accepted.connect(self.accept)

@@ -39,7 +39,7 @@ class DropReason(NamedTuple):
     action: str = ""
 
 
-MASK_REASON: Final = DropReason("the mask", "narrow its colour ranges")
+MASK_REASON: Final = DropReason("the mask", "narrow the mask's colour ranges")
 
 
 class BiasLimits(NamedTuple):

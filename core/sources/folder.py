@@ -212,7 +212,7 @@ class FolderSource(SeekableSource):
             camera = "proximity " if self.rig.has_proximity else ""
             lacks.append(f"this folder has no {camera}colour of the size that rig.json says: its image stays black")
         if self._layout.unmatched:
-            lacks.append(f"{self._layout.unmatched} images without one of the other camera are left out")
+            lacks.append(f"{self._layout.unmatched} images without a partner from the other camera are left out")
         return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._layout.unmatched)
 
     def _frame(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:

@@ -103,7 +103,7 @@ class RecordedSource(SeekableSource):
     def health(self) -> Health:
         said = list(self._lacks)
         if self._unmatched:
-            said.append(f"{self._unmatched} images without one of the other camera are left out")
+            said.append(f"{self._unmatched} images without a partner from the other camera are left out")
         return Health(ok=not self._lacks, message="; ".join(said), unmatched=self._unmatched)
 
     def close(self) -> None:

@@ -150,7 +150,7 @@ def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moment
         np.testing.assert_array_equal(frame.tactile_depth, tactile.images[index])
     assert source.health().unmatched == 4
     assert source.health().ok
-    assert source.health().message == "4 images without one of the other camera are left out"
+    assert source.health().message == "4 images without a partner from the other camera are left out"
 
 
 @pytest.mark.parametrize(("late_s", "expected"), [(0.016, 4), (-0.016, 4), (0.0175, 3), (-0.0175, 3)])
