@@ -27,7 +27,7 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, those of the mask in the untouched frame included; of the average.
-_KERNELS: Final = {"tolerance": 8, "membrane": 13, "pressure": 8}
+_KERNELS: Final = {"tolerance": 10, "membrane": 14, "pressure": 9}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
 _LARGEST: Final[dict[str, tuple[Any, ...]]] = {
@@ -91,8 +91,8 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
 
 
 def _pipeline(preset: Preset) -> ContactPipeline:
-    """Return a pipeline in whose untouched frame the membrane is farther away."""
-    frame = _frame(preset.contact_test)
+    """Return a pipeline in whose untouched frame the membrane is farther away, and nowhere flat."""
+    frame = _frame(preset.contact_test, flat_px=0.0)
     return ContactPipeline(
         preset, _rig(preset.contact_test), replace(frame, tactile_depth=frame.tactile_depth + np.uint16(300))
     )
@@ -117,7 +117,7 @@ def _rig(test: str) -> Rig:
     return Rig(proximity=camera, tactile=camera, proximity_color=color, T_proximity_tactile=pose)
 
 
-def _frame(test: str) -> SensorFrame:
+def _frame(test: str, flat_px: float = 20.0) -> SensorFrame:
     """Return a frame in which a contact test finds contact, by every kernel that it has."""
     height, width = _size(test)
     color = np.full((height, width, 3), 128, np.uint8)
@@ -127,9 +127,9 @@ def _frame(test: str) -> SensorFrame:
         depth[:, 60:] = 0
         depth[0, -1] = 9000
         return SensorFrame(0, depth, depth.copy(), color)
-    # a bulging membrane that is a little flattened where an object touches its centre
+    # a bulging membrane that is flat within this radius, where an object touches its centre
     v, u = np.mgrid[:height, :width] - np.array([height, width])[:, None, None] / 2
-    square = np.maximum(u * u + v * v, 400.0)
+    square = np.maximum(u * u + v * v, flat_px**2)
     membrane = 3000 - square / 16
     behind = np.where(square < 500, membrane, membrane + 2000)
     return SensorFrame(1, behind.astype(np.uint16), membrane.astype(np.uint16), color)
