@@ -169,7 +169,6 @@ class RecordTable(QTableView):
         assert across is not None and down is not None
         across.setHighlightSections(False)
         across.setStretchLastSection(True)
-        across.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         down.hide()
         down.setDefaultSectionSize(self.fontMetrics().height() + 6)
         for number, column in enumerate(columns):

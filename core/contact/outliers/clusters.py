@@ -48,7 +48,7 @@ def _mark_large(
 
     A pixel covers the square of its depth over ``focal_product``, fx fy. ``starts``, ``parents`` and ``areas`` are
     buffers; the parent of a run is a run of the same group, that of the group's first run is itself. OpenCV's labels of
-    the image take twice as long and push the next frame out of the processor's cache.
+    a compact contact take 2 to 3 times as long and push the next frame out of the processor's cache.
     """
     count = len(pixels)
     runs = 0

@@ -211,8 +211,7 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.simulator_source import SimulatorSource
 source = SimulatorSource("cup", seed=3, variant=Variant(press="medium"), cells=(60, 36))
-frames = [source.read(index) for index in range(2)]
-untouched = source.with_object_away().read(0)
+frames, untouched = [source.read(index) for index in range(2)], source.with_object_away().read(0)
 frames.append(replace(frames[0], proximity_color=frames[0].proximity_color // 2))  # in half of the light
 plain = load_preset("simulator").with_value("mask.value", (110, 255))  # in half of the light no print is so bright
 for values in ({"membrane.bias": False}, {}, {"membrane.frames": 2}, {"contact_test": "pressure"}):  # each needs more
