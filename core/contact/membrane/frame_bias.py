@@ -133,7 +133,7 @@ def frame_bias(
         limits_m = centre_m, _NEAR_M
         return None if part is None else cells_of(part, membrane, COARSE_CELL_PX, _SHAPE_PX, free_per_m, limits_m, rig)
 
-    prior, change_m = _with_prints(known, differences, rig)
+    prior, stated_m, change_m = _with_prints(known, differences, rig)
     seen, change_m = change_m is not None, change_m or 0.0
     start_m = most_frequent_m(differences.difference_m[SOME][differences.usable[SOME]]) + _START_ABOVE_M
     near = _near(differences, start_m)
@@ -144,8 +144,9 @@ def frame_bias(
         if proved and abs(bias_m + differences.bias_m) <= LARGEST_BIAS_M:
             variance = _variance_m2(known, area_m2)
             if agrees:
-                weight, variance = variance, 1 / (1 / variance + 1 / prior.sigma_m**2)
-                bias_m = variance * (bias_m / weight + prior.mean_m / prior.sigma_m**2)
+                both = 1 / (1 / variance + 1 / prior.sigma_m**2)
+                bias_m = both * (bias_m / variance + prior.mean_m / prior.sigma_m**2)
+                variance = 1 / (1 / variance + 1 / stated_m**2)
             else:  # contact speaks against the prints, too
                 seen, change_m = False, 0.0
             return FrameBias(bias_m, area_m2, True, seen, math.sqrt(variance), change_m), near
@@ -155,35 +156,37 @@ def frame_bias(
     # small contact does not tell a measured bias better
     if not prior.measured and (cells := cells_near(near, bias_m)) is not None:
         bias_m, _ = _joint(cells, bias_m, prior)
-    return FrameBias(bias_m, 0.0, prior.measured, seen, prior.sigma_m, change_m), near
+    return FrameBias(bias_m, 0.0, prior.measured, seen, stated_m, change_m), near
 
 
-def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> tuple[RigBias, float | None]:
+def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> tuple[RigBias, float, float | None]:
     """Return the bias relative to that of the differences, from the rig and from prints, and how far they disagree.
 
     Both are combined by their variances. Where they disagree for certain, the bias has changed, and prints count alone.
-    Without prints the second is None.
+    The second is the standard deviation with the error of prints, which both share; `RigBias.sigma_m`, without it,
+    weighs the bias against that of contact. Without prints the third is None.
     """
     rigs = replace(known, mean_m=known.mean_m - differences.bias_m)
     prints, depth = differences.on_prints_m, differences.counts[SOME]
     if len(prints) < _MIN_PRINT_PIXELS or not depth.any():
-        return rigs, None
+        return rigs, rigs.sigma_m, None
     centre_m = most_frequent_m(prints)
     agreeing = prints[np.abs(prints - np.float32(centre_m)) < _PRINT_SIGMAS * known.pixel_sigma_m]
     if len(agreeing) < max(_MIN_AGREEING * len(prints), _MIN_PRINT_PIXELS):
-        return rigs, None
+        return rigs, rigs.sigma_m, None
     pixel_m = float(np.median(differences.depth_m(depth[depth > 0]))) / rig.proximity.intrinsics.fx
     sigma_m = math.sqrt(known.noise_m4 / (len(agreeing) * (_STRIDE_PX * pixel_m) ** 2)) + _PRINT_SIGMA_M
     mean_m = float(np.median(agreeing))
     change_m = mean_m - rigs.mean_m
     if not known.measured or abs(change_m) > _DISAGREE * math.hypot(sigma_m, known.sigma_m):
-        return replace(rigs, mean_m=mean_m, sigma_m=sigma_m, measured=True), change_m if known.measured else 0.0
+        alone = replace(rigs, mean_m=mean_m, sigma_m=sigma_m, measured=True)
+        return alone, sigma_m, change_m if known.measured else 0.0
     # what the errors of both do not explain is drift since the rig was measured
-    drift_m2 = max(change_m**2 - sigma_m**2 - known.sigma_m**2, 0.0)
-    rig_sigma_m = math.sqrt(known.sigma_m**2 + drift_m2)
-    weight = rig_sigma_m**2 / (rig_sigma_m**2 + sigma_m**2)
-    both_m = rig_sigma_m * sigma_m / math.hypot(rig_sigma_m, sigma_m)
-    return replace(rigs, mean_m=rigs.mean_m + weight * change_m, sigma_m=both_m), 0.0
+    rig_m2, prints_m2 = known.sigma_m**2 + max(change_m**2 - sigma_m**2 - known.sigma_m**2, 0.0), sigma_m**2
+    weight = rig_m2 / (rig_m2 + prints_m2)
+    stated_m2 = weight * prints_m2 + 2 * weight * (1 - weight) * _PRINT_SIGMA_M**2
+    both = replace(rigs, mean_m=rigs.mean_m + weight * change_m, sigma_m=math.sqrt(weight * prints_m2))
+    return both, math.sqrt(stated_m2), 0.0
 
 
 def most_frequent_m(differences_m: Float32Array) -> float:
