@@ -95,7 +95,8 @@ class LimitHistogram(QWidget):
         self._draw()
 
     def clear(self) -> None:
-        self.set_data(np.zeros(1), self._edges[[0, -1]])
+        if self._known or self._counts.any():  # asked for with every frame without a patch: draw once
+            self.set_data(np.zeros(1), self._edges[[0, -1]])
 
     def set_limit(self, limit: float) -> None:
         if limit != self._limit and not self._dragging():

@@ -46,9 +46,9 @@ def _mark_large(
 ) -> None:  # fmt: skip
     """Join runs of neighbouring pixels to those that they touch in the row above; tell whose groups are large.
 
-    A pixel covers the square of its depth over ``focal_product``, fx fy. ``starts``, ``parents`` and ``areas`` are
-    buffers; the parent of a run is a run of the same group, that of the group's first run is itself. OpenCV's labels of
-    a compact contact take 2 to 3 times as long and push the next frame out of the processor's cache.
+    A pixel covers the square of its depth over ``focal_product``, fx fy, as in `pixel_areas_m2`. ``starts``,
+    ``parents`` and ``areas`` are buffers; the parent of a run is a run of the same group, that of the group's first run
+    is itself. OpenCV's labels of a compact contact take 2 to 3 times as long and push the next frame out of the cache.
     """
     count = len(pixels)
     runs = 0
