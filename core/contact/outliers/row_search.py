@@ -49,6 +49,8 @@ _NONE, _SINGLE = np.int32(0), np.int32(1)
 PLANE_SLACK = np.float32(4e-7)
 #: Squared distances up to a squared bound times this factor are below the bound without rounding, too.
 SQUARE_SLACK = np.float32(1.0 - 1e-6)
+#: Squared distances that differ by this factor are in the same order without rounding, too.
+_APART = np.float32(1.0 + 2e-6)
 
 #: A window grows until at most this number of lanes is unsettled; these are left to `point_search`.
 _FEW_UNSETTLED = 3
@@ -159,6 +161,42 @@ def _sum_of_nearest(squares: Any, count: Any, threshold: Any, excess: Any) -> An
 
 
 @inline
+def _precise_sum_of_nearest(
+    squares: Any, count: Any, threshold: Any, excess: Any, k: Any, x: Any, y: Any, z: Any, place: Any, grid: Any
+) -> Any:
+    """Return the sum of the k smallest distances, each computed in float64, and the lanes in which these are certain.
+
+    They are certain if the next larger squared distance is farther off than the rounding error.
+    """
+    within = floats(_ZERO)
+    beyond = floats(_HUGE)
+    for i in range(count):
+        square = load(squares, i * LANES)
+        inside = square <= threshold
+        within = greater(within, where(inside, square, floats(_ZERO)))
+        beyond = lesser(beyond, where(inside, floats(_HUGE), square))
+    second = floats(_ZERO)
+    for i in range(count):
+        square = load(squares, i * LANES)
+        second = greater(second, where(square < within, square, floats(_ZERO)))
+    last = where(excess < ints(_NONE), beyond, where(excess > ints(_NONE), second, within))
+    reach = last * floats(_APART)
+    found = ints(_NONE)
+    summed = doubles(0.0)
+    for i in range(count):
+        inside = load(squares, i * LANES) <= reach
+        if bits(inside) == 0:
+            continue
+        found = found - as_ints(inside)
+        other = place + grid.offsets[i]
+        dx = to_doubles(x) - to_doubles(load(grid.xs, other))
+        dy = to_doubles(y) - to_doubles(load(grid.ys, other))
+        dz = to_doubles(z) - to_doubles(load(grid.zs, other))
+        summed = summed + where(inside, sqrt(dx * dx + dy * dy + dz * dz), doubles(0.0))
+    return summed, found == ints(np.int32(k))
+
+
+@inline
 def _write_means(summed: Any, good: Any, mask: Any, number: Any, k: Any, sums: Any, means: Any) -> None:
     """Write the means of the lanes in ``mask`` from point ``number`` on; nan in lanes that are not good."""
     store(sums, 0, summed)
@@ -171,7 +209,7 @@ def _write_means(summed: Any, good: Any, mask: Any, number: Any, k: Any, sums: A
 
 
 @kernel
-def search_rows(runs: Any, grid: Any, k: Any, means: Any) -> None:
+def search_rows(runs: Any, grid: Any, k: Any, precise: Any, means: Any) -> None:
     """Write each point's mean distance to its k nearest points, itself included; nan where that is left open.
 
     Parameters
@@ -181,6 +219,8 @@ def search_rows(runs: Any, grid: Any, k: Any, means: Any) -> None:
     grid : GridPlanes
     k : int
         At most the number of points.
+    precise : bool
+        Sum distances in float64, and leave points open where float32 might have chosen the wrong neighbours.
     means : float64, shape (N,)
         Written at the points' numbers, metres.
     """
@@ -191,7 +231,7 @@ def search_rows(runs: Any, grid: Any, k: Any, means: Any) -> None:
     for run in range(runs.shape[0]):
         v, u, mask = runs[run, ROW], runs[run, COLUMN], runs[run, MASK]
         number, place = runs[run, NUMBER], runs[run, PLACE]
-        if count_ones(mask) <= _FEW_UNSETTLED:
+        if count_ones(mask) <= _FEW_UNSETTLED and not precise:
             for i in range(count_ones(mask)):
                 means[number + i] = np.nan
             continue
@@ -215,7 +255,11 @@ def search_rows(runs: Any, grid: Any, k: Any, means: Any) -> None:
         threshold, within = _enclose(squares, count, settled, threshold, within, limit, within_limit, k)
         excess = within - wanted
         good = settled & (excess <= ints(_SINGLE)) & (excess >= ints(np.int32(-1)))
-        summed = _sum_of_nearest(squares, count, threshold, excess)
+        if precise:
+            summed, certain = _precise_sum_of_nearest(squares, count, threshold, excess, k, x, y, z, place, grid)
+            good = good & certain
+        else:
+            summed = _sum_of_nearest(squares, count, threshold, excess)
         _write_means(summed, good, mask, number, k, sums, means)
 
         if bits(good) != 0:

@@ -5,8 +5,8 @@ nearest: it is farther than the four planes through the camera centre along the 
 row, also with lens distortion (`grid.side_planes`). Sixteen neighbouring pixels are searched together (`row_search`),
 those at edges one by one (`point_search`), the rest against all points. Counting below a threshold and interpolating
 encloses the k-th distance. Each float32 mean is within 4 x 2^-24 of the exact one, which bounds the error of the
-threshold. Only if a point lies within that margin, as in about one frame of a hundred with 20,000 points, are the means
-computed by a k-d tree, which takes about as long again, with Open3D's bits.
+threshold. Only if a point lies within that margin, as in about one frame of a hundred with 20,000 points and in nearly
+all with 300,000, are the distances summed again in float64; and only if that leaves it open does a k-d tree decide.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from .row_search import search_rows
 #: Bound of the relative error of a float32 mean: distances differ by at most 3 units in the last place from the exact
 #: ones (differences exact to half a unit, squares and sums, root).
 UNCERTAINTY = 4 * 2.0**-24
+#: The same for means of float64 distances; covers the order of Open3D's sums, too.
+PRECISE_UNCERTAINTY = 1e-9
 #: Means below this may come from squares that float32 cannot represent, metres.
 _MIN_MEAN_M = 1e-12
 
@@ -60,9 +62,10 @@ def statistical_inliers(points: Float32Array, pixels: IndexArray, grid: Grid, k:
         return np.zeros(0, np.bool_)
     k = min(k, len(points))
     if len(points) > _FEW_POINTS and k > 1:
-        inliers = surely_below_threshold(near_means(points, pixels, grid, k), ratio)
-        if inliers is not None:
-            return inliers
+        for precise in (False, True):
+            inliers = surely_below_threshold(near_means(points, pixels, grid, k, precise), ratio, precise)
+            if inliers is not None:
+                return inliers
     return below_threshold(exact_means(points, k), ratio)
 
 
@@ -81,21 +84,22 @@ def exact_means(points: Float32Array, k: int, chosen: IndexArray | None = None) 
     return np.asarray(np.cumsum(distances, axis=1)[:, -1] / k)
 
 
-def near_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int) -> Float64Array:
+def near_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int, precise: bool = False) -> Float64Array:
     """Return each point's mean distance to its k nearest, 1 < k <= N, with a relative error of at most `UNCERTAINTY`.
 
-    The calling thread's next call overwrites the array.
+    It is at most `PRECISE_UNCERTAINTY` if ``precise``. The calling thread's next call overwrites the array.
     """
     means = scratch("means", len(points), np.float64)[: len(points)]
     try:
         if not grid.lay(points, pixels):
             return exact_means(points, k)
         radius = _largest_worthwhile_radius(len(points))
-        in_parallel(partial(_search, grid, Cloud(points, pixels), k, radius, means), len(grid.runs), _RUNS)
+        search = partial(_search, grid, Cloud(points, pixels), k, radius, precise, means)
+        in_parallel(search, len(grid.runs), _RUNS)
     finally:
         grid.clear(pixels)
     left = np.flatnonzero(np.isnan(means))
-    if len(left) * len(points) > MAX_PAIRS:
+    if precise or len(left) * len(points) > MAX_PAIRS:
         means[left] = exact_means(points, k, left)
     elif len(left):
         compare_with_all(left, points, k, means)
@@ -118,11 +122,14 @@ def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Floa
     in_parallel(compare, len(left), len(left) if alone else _COMPARED)
 
 
-def _search(grid: Grid, cloud: Cloud, k: int, radius: int, means: Float64Array, first: int, last: int) -> None:
+def _search(
+    grid: Grid, cloud: Cloud, k: int, radius: int, precise: bool, means: Float64Array, first: int, last: int
+) -> None:
     """Search the points of the runs ``first`` to ``last - 1`` together, then one by one those that are left open."""
-    search_rows(grid.runs[first:last], grid.planes, k, means)
-    end = grid.runs[last, NUMBER] if last < len(grid.runs) else len(cloud.points)
-    search_points(cloud, grid.runs[first, NUMBER], end, grid.planes, k, radius, means)
+    search_rows(grid.runs[first:last], grid.planes, k, precise, means)
+    if not precise:
+        end = grid.runs[last, NUMBER] if last < len(grid.runs) else len(cloud.points)
+        search_points(cloud, grid.runs[first, NUMBER], end, grid.planes, k, radius, means)
 
 
 def _largest_worthwhile_radius(count: int) -> int:
@@ -143,14 +150,15 @@ def below_threshold(means: Float64Array, ratio: float) -> BoolArray:
     return np.asarray(positive & (means < mean + ratio * np.sqrt(squares / (count - 1))))
 
 
-def surely_below_threshold(means: Float64Array, ratio: float) -> BoolArray | None:
+def surely_below_threshold(means: Float64Array, ratio: float, precise: bool) -> BoolArray | None:
     """Return which means are below the threshold of the exact means; None if that is uncertain.
 
-    If every mean has a relative error of at most `UNCERTAINTY`, so has the mean of all. The standard deviation is a
+    If every mean has a relative error of at most an uncertainty, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
     inliers = np.empty(len(means), np.bool_)
-    return inliers if _compare(means, ratio, UNCERTAINTY, inliers) else None
+    uncertainty = PRECISE_UNCERTAINTY if precise else UNCERTAINTY
+    return inliers if _compare(means, ratio, uncertainty, inliers) else None
 
 
 @partial(kernel, fastmath={"reassoc"})  # any order of a sum will do, so several are added up side by side

@@ -51,25 +51,33 @@ def test_the_inlier_set_is_open3ds_point_for_point(k, share, noise_m, distortion
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), k=st.integers(2, 60), share=st.floats(0.01, 1.0), noise=st.floats(0, 0.02))
-def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
+def test_means_are_as_near_as_they_say(seed, k, share, noise):
     points, pixels, grid = scene(seed, 67, 41, share, noise)
     if len(points) < 2:
         return
     k = min(k, len(points))
     exact = exact_means(points, k)
-    assert np.abs(near_means(points, pixels, grid, k) / exact - 1).max() <= statistical.UNCERTAINTY
+    for precise, uncertainty in ((False, statistical.UNCERTAINTY), (True, statistical.PRECISE_UNCERTAINTY / 100)):
+        assert np.abs(near_means(points, pixels, grid, k, precise) / exact - 1).max() <= uncertainty
 
 
-def test_a_point_too_near_to_the_threshold_is_decided_exactly(monkeypatch):
+def test_a_point_too_near_to_the_threshold_is_decided_more_precisely_then_exactly(monkeypatch):
     points, pixels, grid = scene(5, 80, 60, 0.9, 0.001)
     wanted = open3d_inliers(points, 20, 2.0)
     exact = exact_means(points, 20)
     nearest = np.abs(exact / (exact.mean() + 2.0 * exact.std(ddof=1)) - 1).min()
     assert nearest > 10 * statistical.UNCERTAINTY
     calls = []
+    monkeypatch.setattr(statistical, "near_means", lambda *a: calls.append(a[4]) or near_means(*a))
     monkeypatch.setattr(statistical, "below_threshold", lambda *a: calls.append("exact") or below_threshold(*a))
-    for uncertainty, expected in ((statistical.UNCERTAINTY, []), (nearest, ["exact"])):
-        monkeypatch.setattr(statistical, "UNCERTAINTY", uncertainty)
+    for name, expected in (
+        ("", [False]),
+        ("UNCERTAINTY", [False, True]),
+        ("PRECISE_UNCERTAINTY", [False, True, "exact"]),
+    ):
+        if name:
+            monkeypatch.setattr(statistical, name, nearest)
+        calls.clear()
         assert np.array_equal(statistical_inliers(points, pixels, grid, 20, 2.0), wanted)
         assert calls == expected
 
