@@ -239,7 +239,7 @@ def unknown_dent(it: Situation) -> Finding | None:
 
 
 def unfit_tolerance(it: Situation) -> Finding | None:
-    """The tolerance is far from what the measured noise asks for: it leaves holes, or passes what hovers."""
+    """The tolerance is far from what noise and alignment ask for: it leaves holes, or passes what hovers."""
     preset = it.preset
     if preset.contact_test != "tolerance" or preset.noise is None:
         return None
@@ -247,8 +247,8 @@ def unfit_tolerance(it: Situation) -> Finding | None:
     due, present = float(proposal.changes.get("tolerance.t", preset.tolerance.t)), preset.tolerance.t
     if due * _FIT[0] <= present <= due * _FIT[1]:
         return None
-    is_wide = "what hovers up to that distance counts as contact" if present > due else "noise makes holes in contact"
-    sentence = f"The tolerance is {100 * present:g} %; the measured noise asks for {100 * due:g} %: {is_wide}."
+    effect = "what hovers up to that distance counts as contact" if present > due else "contact has holes"
+    sentence = f"The tolerance is {100 * present:g} %; noise and alignment ask for {100 * due:g} %: {effect}."
     return Finding("unfit_tolerance", "tolerance.t", sentence, proposal)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ...calibration.report import patch_effect
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m, usable_curvature_per_m
 from ...contact.membrane.frame_bias import rig_bias
 from ...contact.membrane.section import LARGEST_BIAS_M
@@ -160,20 +161,24 @@ def _mm(metres: float) -> str:
 
 
 def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the tolerance that the measured noise asks for."""
-    noise = evidence.preset.noise
+    """Propose the tolerance that the measured noise and the calibration's error ask for."""
+    noise, section = evidence.preset.noise, evidence.preset.alignment
     if noise is None:
         raise AdviceError("tolerance: measure the noise of both cameras (F6, tactune preset measure-rig)")
     sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
     distance_m = noise.tactile.distance_m
-    return _proposal(
-        evidence,
-        "tolerance.t",
-        min(float(f"{_T_SIGMAS * sigma_m / distance_m:.2g}"), 1.0),
+    t = _T_SIGMAS * sigma_m / distance_m
+    why = (
         f"The difference of both depths has a noise of {1e3 * sigma_m:.1f} mm at {1e3 * distance_m:.0f} mm distance; t "
-        f"covers {_T_SIGMAS:g} standard deviations.",
-        "Nearly all contact passes, and no larger gap than noise requires.",
+        f"covers {_T_SIGMAS:g} standard deviations"
     )
+    if (calibration := section.calibration) is not None and calibration.model == section.model:
+        of_noise = patch_effect([0.0], [0.0], [distance_m])[1]  # the part of it that stands for both cameras' noise
+        of_alignment = math.sqrt(max(calibration.quality.supported_tolerance**2 - of_noise**2, 0.0))
+        t = math.hypot(t, of_alignment)
+        why += f", and {100 * of_alignment:.2g} % of the distance that the calibrated alignment is off"
+    expected = "Nearly all contact passes, and no larger gap than that requires."
+    return _proposal(evidence, "tolerance.t", min(float(f"{t:.2g}"), 1.0), f"{why}.", expected)
 
 
 def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:

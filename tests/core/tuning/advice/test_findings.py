@@ -9,6 +9,8 @@ import pytest
 from rigs import rig_noise
 from tactune.core.contact.masking import masked_share
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.alignment import CalibrationRecord, ModelSummary
+from tactune.core.preset import now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.findings import Examiner
@@ -36,6 +38,12 @@ def findings(preset, rig, frame, untouched=None):
     if untouched is None:
         found.pop("unknown_dent", None)
     return found
+
+
+def calibrated(preset, supported):
+    quality = ModelSummary(alignment_px=1, alignment_bound_95_px=1, boundary_error_mm=1, supported_tolerance=supported)
+    record = CalibrationRecord(date=now(), model=preset.alignment.model, quality=quality)
+    return preset.model_copy(update={"alignment": preset.alignment.model_copy(update={"calibration": record})})
 
 
 def mended(finding, preset, rig, frame, untouched=None):
@@ -220,11 +228,23 @@ class TestFalseContact:
         assert "false_contact" not in findings(TOLERANCE, rig, pressed, untouched)
 
 
-@pytest.mark.parametrize(("factor", "is_found"), [(0.3, True), (1.0, False), (2.0, False), (6.0, True)])
-def test_a_tolerance_that_does_not_fit_the_measured_noise_is_found(factor, is_found):
+@pytest.mark.parametrize(
+    ("factor", "supported", "is_found"),
+    [
+        (0.3, None, True),
+        (1.0, None, False),
+        (2.0, None, False),
+        (6.0, None, True),
+        (1.0, 0.03, True),
+        (6.0, 0.03, False),
+    ],
+)
+def test_a_tolerance_that_does_not_fit_noise_and_calibration_is_found(factor, supported, is_found):
     rig, frame = scene(PRESSED)
     due = 2 * np.hypot(0.0008, 0.0008) / 0.3  # twice the deviation of the difference, at the distance of the noise
     preset = TOLERANCE.with_value("tolerance.t", factor * due).model_copy(update={"noise": noise(0.0008)})
+    if supported is not None:
+        preset = calibrated(preset, supported)
     found = findings(preset, rig, frame)
     assert ("unfit_tolerance" in found) == is_found
     if is_found:
