@@ -52,7 +52,7 @@ class RecordingBar(QFrame):
         self._name = ElidedLabel()
         self._written = number_label("0:00:00   000000 frames   000.0 GB", "Time, frames in the file and its size")
         self._dropped = number_label(
-            "0000 dropped", "Frames missing in the file: lost by the cameras, this computer or a slow disk"
+            "0000 missing", "Frames missing in the file: lost by the cameras, this computer or a slow disk"
         )
         self._room = number_label("000.0 GB free", "Free disk space")
         vbox(
@@ -144,7 +144,7 @@ class RecordingBar(QFrame):
             free = 0  # the disk is gone
         status, elapsed_s = self._with_lost(status), time.monotonic() - self._started_s
         self._written.setText(f"{clock(elapsed_s)}   {counted(status.frames, 'frame')}   {size(status.bytes)}")
-        self._dropped.setText(f"{status.dropped} dropped")
+        self._dropped.setText(f"{status.dropped} missing")
         self._dropped.tint("error" if status.dropped else "")
         self._room.setText(f"{size(free)} free")
         if status.error:

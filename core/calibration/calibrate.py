@@ -231,7 +231,7 @@ def _recommend(quality: dict[ModelName, ModelQuality], refused: dict[ModelName, 
     if rigid is None or plane is None:
         compared = "there are too few points to cross-validate both"
     else:
-        compared = f"in cross-validation a homography leaves {plane:.1f} px, rigid {rigid:.1f} px"
+        compared = f"each ninth of the image left out in turn, homography leaves {plane:.1f} px, rigid {rigid:.1f} px"
         if rigid > _MUCH_WORSE * plane:
             return "homography", f"Recommended: homography; {compared}; check the tactile depths and the rig's lenses."
     return "rigid", f"Recommended: rigid, because it holds at every depth; {compared}."
