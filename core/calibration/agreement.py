@@ -101,7 +101,24 @@ def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Ri
     by_noise = fit.sensitivity(pairs)
     pixel = float(np.sqrt((by_noise**2).sum() / (rows**2).sum())) / fit.noise_factor
     shapes = _Shapes(fit, rig, pairs, places)
-    kinds = _weigh(shapes(pairs), rows, basis, rest, residuals.shape, fit.degrees)
+    made = []
+    for name, of_pairs in shapes(pairs).items():
+        error = np.zeros((*residuals.shape, of_pairs.shape[2]))
+        error[:, :2] = of_pairs
+        scale = 1.0 / float(np.sqrt((error[:, :2] ** 2).sum() / (2 * len(error))))
+        error = scale * error.reshape(len(rest), -1)
+        visible = error - basis @ (basis.T @ error)
+        log_likelihoods, noises = _variance_component(visible, rest, fit.degrees)
+        best = int(log_likelihoods.argmax())
+        made.append((name, log_likelihoods, float(noises[best]), _VARIANCES[best], scale, rows.T @ error))
+    evidence = np.array([np.exp(np.minimum(log_likelihoods, 600.0)).mean() for _, log_likelihoods, *_ in made])
+    # Fields of several lengths and noise are variants of one kind of error: they share one prior.
+    priors = [1.0 / (len(_LENGTHS) + 1 if name.startswith(("field", "noise")) else 1) for name, *_ in made]
+    odds = _PRIOR_ODDS * evidence * priors / sum(priors)
+    kinds = [
+        _Kind(name, float(weight), noise, float(np.sqrt(variance * noise)) * float(np.sqrt(weight)), scale, absorbed)
+        for (name, _, noise, variance, scale, absorbed), weight in zip(made, odds / (1.0 + odds.sum()), strict=True)
+    ]
     observed = float(rest @ rest) / fit.degrees
     noise = (1.0 - sum(kind.weight for kind in kinds)) * observed + sum(kind.weight * kind.noise for kind in kinds)
     crossed = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), regions_of(pairs))
@@ -178,36 +195,6 @@ class _Shapes:
             kept, kind = power > _NEGLIGIBLE**2, "field" if length in _LENGTHS else "noise"
             found[f"{kind} {length}"] = _in_both(field[:, kept] * np.sqrt(power[kept]))
         return found
-
-
-def _weigh(
-    shapes: Mapping[str, Float64Array],
-    rows: Float64Array,
-    basis: Float64Array,
-    rest: Float64Array,
-    shape: tuple[int, ...],
-    degrees: int,
-) -> list[_Kind]:
-    """Return each kind of error with its posterior probability and its most likely size."""
-    made = []
-    for name, of_pairs in shapes.items():
-        error = np.zeros((*shape, of_pairs.shape[2]))
-        error[:, :2] = of_pairs
-        scale = 1.0 / float(np.sqrt((error[:, :2] ** 2).sum() / (2 * len(error))))
-        error = scale * error.reshape(len(rest), -1)
-        visible = error - basis @ (basis.T @ error)
-        log_likelihoods, noises = _variance_component(visible, rest, degrees)
-        best = int(log_likelihoods.argmax())
-        made.append((name, log_likelihoods, float(noises[best]), _VARIANCES[best], scale, rows.T @ error))
-    evidence = np.array([np.exp(np.minimum(log_likelihoods, 600.0)).mean() for _, log_likelihoods, *_ in made])
-    # Fields of several lengths and noise are variants of one kind of error: they share one prior.
-    priors = [1.0 / (len(_LENGTHS) + 1 if name.startswith(("field", "noise")) else 1) for name, *_ in made]
-    odds = _PRIOR_ODDS * evidence * priors / sum(priors)
-    weights = odds / (1.0 + odds.sum())
-    return [
-        _Kind(name, float(weight), noise, float(np.sqrt(variance * noise)) * float(np.sqrt(weight)), scale, absorbed)
-        for (name, _, noise, variance, scale, absorbed), weight in zip(made, weights, strict=True)
-    ]
 
 
 def _variance_component(visible: Float64Array, rest: Float64Array, degrees: int) -> tuple[Float64Array, Float64Array]:

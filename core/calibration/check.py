@@ -65,13 +65,7 @@ def check_alignment(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     )
     again = "calibrate again" if alignment.homography is None else "calibrate again by the rigid model"
     advice = f"more than {limit:.1f} px, {again}" if drift > limit else "no need to calibrate again"
-    return Drift(
-        drift_px=drift,
-        recalibrate=drift > limit,
-        sentence=f"{measured}: {advice}.",
-        tactile=points.tactile,
-        offsets_px=offsets,
-    )
+    return Drift(drift, drift > limit, f"{measured}: {advice}.", points.tactile, offsets)
 
 
 @dataclass(frozen=True)

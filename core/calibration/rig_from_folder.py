@@ -126,7 +126,12 @@ def rig_from_folder(
     notes, warnings = draft.notes, draft.warnings
     if len(roles) == 1:
         [role] = roles
-        _check_only_color(draft, cameras[role].intrinsics)
+        if "proximity_color" not in draft.layout.slots:
+            warnings.append("the folder has no colour: its image stays black")
+        elif read_image(draft.first("proximity_color")).shape[:2] != cameras[role].intrinsics.shape:
+            warnings.append("the colour has another size than the depth, so it is left out")
+        elif draft.layout.name not in ("TUM", "BOP"):
+            warnings.append("the colour has the size of the depth and is taken as aligned to it")
         return FolderRig(Rig.of_one_camera(cameras[role]), {"tactile": forms[role]}, tuple(notes), tuple(warnings))
     rig = Rig(**cameras)
     if (color := _color(draft, options.get("color"), rig.proximity.intrinsics)) is not None:
@@ -137,16 +142,6 @@ def rig_from_folder(
     if (pose := _stated_pose(draft, "proximity", "tactile")) is None:
         warnings.append("the pose between the cameras is unknown: calibrate the alignment")
     return FolderRig(rig.model_copy(update={"T_proximity_tactile": pose}), forms, tuple(notes), tuple(warnings))
-
-
-def _check_only_color(draft: _Draft, depth: Intrinsics) -> None:
-    """Say what is known of the colour of the only camera."""
-    if "proximity_color" not in draft.layout.slots:
-        draft.warnings.append("the folder has no colour: its image stays black")
-    elif read_image(draft.first("proximity_color")).shape[:2] != depth.shape:
-        draft.warnings.append("the colour has another size than the depth, so it is left out")
-    elif draft.layout.name not in ("TUM", "BOP"):
-        draft.warnings.append("the colour has the size of the depth and is taken as aligned to it")
 
 
 def _color(draft: _Draft, option: str | None, depth: Intrinsics) -> tuple[ColorCamera, dict[str, Any]] | None:

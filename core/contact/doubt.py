@@ -149,13 +149,10 @@ class DoubtEstimator:
         if preset.contact_test == "membrane" and preset.membrane.bias:
             return ""
         counts = frame.tactile_depth[GRID]
-        distance_m = median(np.where(valid_depth(counts), counts * self._tactile_unit_m, np.float32(np.nan)))
+        unit_m = np.float32(self._pixels.alignment.tables.tactile_unit_m)
+        distance_m = median(np.where(valid_depth(counts), counts * unit_m, np.float32(np.nan)))
         harmless = abs(known.mean_m) <= preset.test.bias_limits(preset, distance_m).good_m
         return "" if harmless else "bias not corrected"
-
-    @property
-    def _tactile_unit_m(self) -> np.float32:
-        return np.float32(self._pixels.alignment.tables.tactile_unit_m)
 
 
 def _pressure_evidence(contact: Candidates, facts: PressureFacts, dent: float) -> tuple[float, tuple[str, ...]]:

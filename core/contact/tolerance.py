@@ -15,7 +15,7 @@ from pydantic import Field
 from ..model.arrays import Uint8Array
 from ..model.frames import SensorFrame
 from ..model.patch import NO_CANDIDATES, Candidates, Found, Provenance
-from ..model.sections import Section, described
+from ..model.sections import Section, SmallestContact, described
 from .contact_test import HARMLESS_SHARE, MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
 
 if TYPE_CHECKING:
@@ -71,17 +71,7 @@ class OutlierSection(Section):
         ),
         Field(gt=0.0, le=100.0),
     ] = 2.0
-    min_cluster_area_mm2: Annotated[
-        float,
-        described(
-            "Smallest contact",
-            "Connected groups of contact pixels with a smaller area are dropped. 0 keeps all.",
-            unit="mm2",
-            slider=(0.0, 500.0),
-            step=5.0,
-            limits=(0.0, 1e6),
-        ),
-    ] = 0.0
+    min_cluster_area_mm2: SmallestContact = 0.0
 
 
 class ToleranceTest(ContactTest):

@@ -204,7 +204,10 @@ class PoseTracker:
         found: Fit | None = None
         # 1. From where the last motion leads. If that fits badly, a search near the last fit must be clearly better.
         if pose is not None:
-            found = search.fitted(self._predicted(pose, time_s))
+            passed, start = time_s - self._time_s, pose
+            if 0 < passed <= _MAX_GAP_S:  # moved on with constant velocity
+                start = moved(pose, passed * self._velocity, self._about_m, self.mesh.radius_m)
+            found = search.fitted(start)
             good = found.overlap > _GOOD_OVERLAP and found.cost_m < _GOOD_M
             if not good and self._may_search(time_s, everywhere=False):
                 other = search.near(pose)
@@ -221,13 +224,6 @@ class PoseTracker:
             return False
         self._due_s[everywhere] = time_s + (_SEARCH_PAUSE_S if everywhere else _NEAR_PAUSE_S)
         return True
-
-    def _predicted(self, pose: Float64Array, time_s: float) -> Float64Array:
-        """Return the last pose moved on with constant velocity."""
-        passed = time_s - self._time_s
-        if not 0 < passed <= _MAX_GAP_S:
-            return pose
-        return moved(pose, passed * self._velocity, self._about_m, self.mesh.radius_m)
 
     def _keep(self, found: Fit, time_s: float) -> None:
         """Remember a pose and its velocity, which decays along free directions."""

@@ -163,15 +163,7 @@ class TiltEstimator:
         )
         axis = _long_axis(cells, self._lens)
         x, y, z = points.mean(axis=0, dtype=np.float64)
-        return Tilt(
-            centroid_m=(float(x), float(y), float(z)),
-            roll_rad=roll[0],
-            roll_sigma_rad=roll[1],
-            pitch_rad=pitch[0],
-            pitch_sigma_rad=pitch[1],
-            axis_rad=axis[0],
-            axis_sigma_rad=axis[1],
-        )
+        return Tilt((float(x), float(y), float(z)), roll[0], roll[1], pitch[0], pitch[1], axis[0], axis[1])
 
 
 @dataclass(frozen=True)

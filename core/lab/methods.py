@@ -84,11 +84,6 @@ def check_methods(names: Sequence[str], known: Sequence[str] | None = None) -> N
             raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
 
 
-def needed_frames(name: str) -> int:
-    """Return how many frames a method has to see, up to and including the one that is judged."""
-    return int(PIPELINES.get(name, {}).get("membrane.frames", 1))
-
-
 def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> Find:
     """Build a method by its name; raises a `TactuneError` where there is none or it lacks an untouched frame."""
     check_methods([name])

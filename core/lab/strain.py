@@ -256,7 +256,7 @@ def _seeds(
         aside = crossing > 0.6 * np.hypot(*first) * np.hypot(*around.T)
         if not aside.any():
             continue
-        right, down = _upright(first, around[np.argmax(aside)])
+        right, down = _like(tuple(np.eye(2)), first, around[np.argmax(aside)])  # what points right, and down
         wanted = np.array([i * right + j * down for i, j in steps])
         gaps = np.hypot(*(wanted[:, None] - around[None]).transpose(2, 0, 1)).min(axis=1)
         error = float(gaps.max()) / min(np.hypot(*right), np.hypot(*down))
@@ -264,18 +264,8 @@ def _seeds(
             yield error, dot, right, down
 
 
-def _upright(first: Float64Array, second: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return both vectors ordered and signed: the one that points right, and the one that points down."""
-    right, down = (
-        (first, second) if abs(first[0]) * np.hypot(*second) >= abs(second[0]) * np.hypot(*first) else (second, first)
-    )
-    return right * (1 if right[0] >= 0 else -1), down * (1 if down[1] >= 0 else -1)
-
-
-def _like(
-    axes: tuple[Float64Array, Float64Array], right: Float64Array, down: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Return both vectors ordered and signed like those of another piece."""
+def _like(axes: Sequence[Float64Array], right: Float64Array, down: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Return both vectors ordered and signed like two others."""
     if abs(float(right @ axes[0])) / np.hypot(*right) < abs(float(down @ axes[0])) / np.hypot(*down):
         right, down = down, right
     return right * (1 if right @ axes[0] >= 0 else -1), down * (1 if down @ axes[1] >= 0 else -1)

@@ -39,7 +39,7 @@ from ..sources.simulator.objects import HELD_OUT
 from ..sources.simulator.scenes import MEMBRANES
 from ..sources.simulator.sensors import DEFAULT_SENSOR, SENSORS
 from ..tuning.measure import local_workers
-from .methods import OF_NOISE, PIPELINES, check_methods, make_method, method_names, needed_frames
+from .methods import OF_NOISE, PIPELINES, check_methods, make_method, method_names
 
 PRESSES: Final = ("low", "medium", "high")
 OBJECTS: Final = ("octopus", "cup", "cube")
@@ -281,7 +281,8 @@ def _patches(
             raise rig.preset
         preset = rig.preset
     find = make_method(name, preset, source.rig, rig.untouched)
-    return [[find(frame) for frame in frames[-needed_frames(name) :]][-1]]
+    seen = int(PIPELINES.get(name, {}).get("membrane.frames", 1))  # up to and including the frame that is judged
+    return [[find(frame) for frame in frames[-seen:]][-1]]
 
 
 def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:

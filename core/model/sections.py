@@ -30,6 +30,20 @@ def stored(title: str, description: str, **options: Any) -> Any:
     return described(title, description, hidden=True, **options)
 
 
+#: The smallest contact that a test keeps.
+SmallestContact = Annotated[
+    float,
+    described(
+        "Smallest contact",
+        "Connected groups of contact pixels with a smaller area are dropped. 0 keeps all.",
+        unit="mm2",
+        slider=(0.0, 500.0),
+        step=5.0,
+        limits=(0.0, 1e6),
+    ),
+]
+
+
 class Section(Frozen):
     """A part of a preset."""
 

@@ -101,14 +101,11 @@ def _append(group: Any, rig: Rig, frame: SensorFrame, index: int) -> None:
             continue
         name, array = words.replace("_", "/", 1), np.asarray(value)
         if name not in group:
-            image = (
-                {"chunks": (1, *array.shape), "compression": "gzip", "shuffle": True}
-                if array.ndim
-                else {"chunks": (256,)}
-            )
+            kept: dict[str, Any] = {"chunks": (1, *array.shape) if array.ndim else (256,)}
+            kept |= {"compression": "gzip", "shuffle": True} if array.ndim else {}
             empty = np.nan if array.dtype == np.float32 else 0
             group.create_dataset(
-                name, (index, *array.shape), array.dtype, maxshape=(None, *array.shape), fillvalue=empty, **image
+                name, (index, *array.shape), array.dtype, maxshape=(None, *array.shape), fillvalue=empty, **kept
             )
         group[name].resize(index + 1, axis=0)
         group[name][index] = array

@@ -18,19 +18,8 @@ from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from ..sources.ros.messages import (
-    CAMERA_INFO,
-    IMAGE,
-    OBJECT_FRAME,
-    POINT_CLOUD,
-    PROXIMITY_COLOR_FRAME,
-    PROXIMITY_FRAME,
-    TACTILE_FRAME,
-    TEXT,
-    TRANSFORMS,
-    TYPES,
-    Topic,
-)
+from ..sources.ros import messages as ros
+from ..sources.ros.messages import Topic
 
 POSE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 VECTOR: Final = "geometry_msgs/msg/Vector3Stamped"
@@ -61,11 +50,11 @@ _ARROW_RGBA: Final = (0.1, 0.45, 0.88, 1.0)
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
 
 #: Types of the topics of a patch, and of those of a force, which the pressure test alone has.
-PATCH_TOPICS: Final[dict[str, str]] = {Topic.PATCH: POINT_CLOUD, Topic.AREA: NUMBER, Topic.DOUBT: DIAGNOSTICS}
+PATCH_TOPICS: Final[dict[str, str]] = {Topic.PATCH: ros.POINT_CLOUD, Topic.AREA: NUMBER, Topic.DOUBT: DIAGNOSTICS}
 FORCE_TOPICS: Final[dict[str, str]] = {Topic.WRENCH: WRENCH, Topic.RELATIVE_FORCE: VECTOR, Topic.FORCE_ARROW: MARKER}
 
 #: Types of the topics of a tracked object.
-POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS: TRANSFORMS}
+POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS: ros.TRANSFORMS}
 
 #: Topics that ROS 2 keeps out of namespaces.
 _GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
@@ -106,12 +95,12 @@ class LogClock:
 
 
 def definition(message_type: str) -> str:
-    return TYPES.generate_msgdef(message_type, ros_version=2)[0]
+    return ros.TYPES.generate_msgdef(message_type, ros_version=2)[0]
 
 
 def type_hash(message_type: str) -> str:
     """Return the hash by which ROS 2 identifies this definition."""
-    return TYPES.hash_rihs01(message_type)
+    return ros.TYPES.hash_rihs01(message_type)
 
 
 def stamped(template: bytes, stamp_ns: int) -> bytes:
@@ -123,7 +112,7 @@ def stamped(template: bytes, stamp_ns: int) -> bytes:
 def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
     k = lens.camera_matrix()
     return _message(
-        CAMERA_INFO,
+        ros.CAMERA_INFO,
         header=_header(frame_id),
         height=lens.height,
         width=lens.width,
@@ -142,24 +131,24 @@ def static_transforms(rig: Rig, stamp_ns: int, T_proximity_tactile: Float64Array
     """Return the poses of the cameras in the proximity depth frame; a calibrated one replaces the rig's."""
     poses: dict[str, Float64Array] = {}
     if T_proximity_tactile is not None:
-        poses[TACTILE_FRAME] = T_proximity_tactile
+        poses[ros.TACTILE_FRAME] = T_proximity_tactile
     elif rig.T_proximity_tactile is not None:
-        poses[TACTILE_FRAME] = np.array(rig.T_proximity_tactile)
+        poses[ros.TACTILE_FRAME] = np.array(rig.T_proximity_tactile)
     if rig.proximity_color is not None:
-        poses[PROXIMITY_COLOR_FRAME] = np.linalg.inv(np.array(rig.proximity_color.T_color_depth)).astype(np.float64)
+        poses[ros.PROXIMITY_COLOR_FRAME] = np.linalg.inv(np.array(rig.proximity_color.T_color_depth)).astype(np.float64)
     return transforms(poses, stamp_ns)
 
 
 def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
     """Return poses (4 x 4) of frames, by their names, in the proximity depth frame."""
-    header = _header(PROXIMITY_FRAME, stamp_ns)
+    header = _header(ros.PROXIMITY_FRAME, stamp_ns)
     stamped_pose = _type("geometry_msgs/msg/TransformStamped")
     translation, transform = _type("geometry_msgs/msg/Vector3"), _type("geometry_msgs/msg/Transform")
     found = [
         stamped_pose(header, child, transform(translation(*pose[:3, 3].tolist()), _quaternion(pose)))
         for child, pose in poses.items()
     ]
-    return _message(TRANSFORMS, found)
+    return _message(ros.TRANSFORMS, found)
 
 
 def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> dict[str, bytes]:
@@ -171,21 +160,21 @@ def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> d
     body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
     known = _type("geometry_msgs/msg/PoseWithCovariance")(body, np.asarray(covariance, np.float64).ravel())
     return {
-        Topic.OBJECT_POSE: _message(POSE, _header(PROXIMITY_FRAME, stamp_ns), known),
-        Topic.TRANSFORMS: transforms({OBJECT_FRAME: pose}, stamp_ns),
+        Topic.OBJECT_POSE: _message(POSE, _header(ros.PROXIMITY_FRAME, stamp_ns), known),
+        Topic.TRANSFORMS: transforms({ros.OBJECT_FRAME: pose}, stamp_ns),
     }
 
 
 def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
     """Return three numbers about the axes of the proximity depth frame."""
-    return _message(VECTOR, _header(PROXIMITY_FRAME, stamp_ns), _type("geometry_msgs/msg/Vector3")(x, y, z))
+    return _message(VECTOR, _header(ros.PROXIMITY_FRAME, stamp_ns), _type("geometry_msgs/msg/Vector3")(x, y, z))
 
 
 def wrench(force_n: tuple[float, float, float], place_m: Float64Array, stamp_ns: int) -> bytes:
     """Return a force that acts at a place, and its torque about the origin of the proximity depth frame, N m."""
     of = _type("geometry_msgs/msg/Vector3")
     both = _type("geometry_msgs/msg/Wrench")(of(*force_n), of(*np.cross(place_m, force_n).tolist()))
-    return _message(WRENCH, _header(PROXIMITY_FRAME, stamp_ns), both)
+    return _message(WRENCH, _header(ros.PROXIMITY_FRAME, stamp_ns), both)
 
 
 def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
@@ -194,7 +183,7 @@ def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
     pose = _type("geometry_msgs/msg/Pose")(at(0.0, 0.0, 0.0), _quaternion(np.eye(4)))
     return _message(
         MARKER,
-        _header(PROXIMITY_FRAME, stamp_ns),
+        _header(ros.PROXIMITY_FRAME, stamp_ns),
         "force",
         0,
         kind.ARROW,
@@ -207,7 +196,7 @@ def arrow(ends_m: Float64Array | None, stamp_ns: int) -> bytes:
         [] if ends_m is None else [at(*place) for place in ends_m.tolist()],
         [],
         "",
-        _type("sensor_msgs/msg/CompressedImage")(_header(PROXIMITY_FRAME, stamp_ns), "", nothing),
+        _type("sensor_msgs/msg/CompressedImage")(_header(ros.PROXIMITY_FRAME, stamp_ns), "", nothing),
         [],
         "",
         "",
@@ -267,7 +256,7 @@ def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int) -> bytes:
 
 
 def text(value: str) -> bytes:
-    return _message(TEXT, value)
+    return _message(ros.TEXT, value)
 
 
 def frame_text(frame: SensorFrame) -> bytes:
@@ -278,7 +267,7 @@ def frame_text(frame: SensorFrame) -> bytes:
 def point_cloud(
     points: Float32Array,
     stamp_ns: int,
-    frame_id: str = PROXIMITY_FRAME,
+    frame_id: str = ros.PROXIMITY_FRAME,
     values: Mapping[str, Float32Array] = MappingProxyType({}),
 ) -> bytes:
     """Return a cloud of points in metres: (N, 3), or (H, W, 3) with nan where a pixel has no point; values are (N,)."""
@@ -287,7 +276,7 @@ def point_cloud(
     points = np.column_stack([points, *values.values()]) if values else points
     field = _type("sensor_msgs/msg/PointField")
     frame = _message(  # it ends with the length of the data and is_dense
-        POINT_CLOUD,
+        ros.POINT_CLOUD,
         header=_header(frame_id, stamp_ns),
         height=height,
         width=width,
@@ -331,16 +320,16 @@ class ImageStream:
 def image_streams(rig: Rig) -> Mapping[Topic, ImageStream]:
     """Return the streams of a rig's frames, made once."""
     proximity, tactile = rig.proximity.intrinsics, rig.tactile.intrinsics
-    color, color_frame = proximity, PROXIMITY_FRAME
+    color, color_frame = proximity, ros.PROXIMITY_FRAME
     if rig.proximity_color is not None:
-        color, color_frame = rig.proximity_color.intrinsics, PROXIMITY_COLOR_FRAME
+        color, color_frame = rig.proximity_color.intrinsics, ros.PROXIMITY_COLOR_FRAME
     streams = (
-        _stream(Topic.PROXIMITY_DEPTH, PROXIMITY_FRAME, "16UC1", proximity),
+        _stream(Topic.PROXIMITY_DEPTH, ros.PROXIMITY_FRAME, "16UC1", proximity),
         _stream(Topic.PROXIMITY_COLOR, color_frame, "rgb8", color),
-        _stream(Topic.TACTILE_DEPTH, TACTILE_FRAME, "16UC1", tactile, of_tactile=True),
-        _stream(Topic.TACTILE_COLOR, TACTILE_FRAME, "rgb8", tactile, of_tactile=True),
-        _stream(Topic.TRUTH_CONTACT, PROXIMITY_FRAME, "mono8", proximity, with_lens=False),
-        _stream(Topic.TRUTH_DEPTH, PROXIMITY_FRAME, "32FC1", proximity, with_lens=False),
+        _stream(Topic.TACTILE_DEPTH, ros.TACTILE_FRAME, "16UC1", tactile, of_tactile=True),
+        _stream(Topic.TACTILE_COLOR, ros.TACTILE_FRAME, "rgb8", tactile, of_tactile=True),
+        _stream(Topic.TRUTH_CONTACT, ros.PROXIMITY_FRAME, "mono8", proximity, with_lens=False),
+        _stream(Topic.TRUTH_DEPTH, ros.PROXIMITY_FRAME, "32FC1", proximity, with_lens=False),
     )
     return {stream.topic: stream for stream in streams if rig.has_proximity or "proximity" not in stream.topic}
 
@@ -363,11 +352,11 @@ def _header(frame_id: str, stamp_ns: int = 0) -> Any:
 
 def _message(kind: str, *fields: Any, **named: Any) -> bytes:
     """Return a whole message, serialised."""
-    return bytes(TYPES.serialize_cdr(_type(kind)(*fields, **named), kind))
+    return bytes(ros.TYPES.serialize_cdr(_type(kind)(*fields, **named), kind))
 
 
 def _type(name: str) -> Any:
-    return TYPES.types[name]
+    return ros.TYPES.types[name]
 
 
 def _stream(
@@ -375,7 +364,7 @@ def _stream(
 ) -> ImageStream:
     dtype, channels = _PIXELS[encoding]
     row_bytes = lens.width * dtype.itemsize * channels
-    empty = _message(IMAGE, _header(frame_id), *lens.shape, encoding, 0, row_bytes, np.empty(0, np.uint8))
+    empty = _message(ros.IMAGE, _header(frame_id), *lens.shape, encoding, 0, row_bytes, np.empty(0, np.uint8))
     head = empty[:-4] + struct.pack("<I", lens.height * row_bytes)  # up to the pixels, which follow unchanged
     shape = lens.shape if channels == 1 else (*lens.shape, channels)
     return ImageStream(topic, of_tactile, shape, dtype, head, camera_info(frame_id, lens) if with_lens else None)

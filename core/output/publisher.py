@@ -27,16 +27,8 @@ from ..model.frames import DepthCamera, SensorFrame
 from ..model.patch import Lazy
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
-from ..sources.ros.messages import (
-    CAMERA_INFO,
-    IMAGE,
-    POINT_CLOUD,
-    PROXIMITY_FRAME,
-    TACTILE_FRAME,
-    TEXT,
-    TRANSFORMS,
-    Topic,
-)
+from ..sources.ros import messages as ros
+from ..sources.ros.messages import Topic
 from . import messages
 from .messages import DIAGNOSTICS, FORCE_TOPICS, PATCH_TOPICS, POSE_TOPICS, VECTOR
 
@@ -49,14 +41,14 @@ LIVE_TOPICS: Final[Mapping[str, str]] = {
     Topic.TILT: VECTOR,
     Topic.TILT_SIGMA: VECTOR,
     **POSE_TOPICS,
-    Topic.STATIC_TRANSFORMS: TRANSFORMS,
-    Topic.PROXIMITY_CLOUD: POINT_CLOUD,
-    Topic.TACTILE_CLOUD: POINT_CLOUD,
-    **dict.fromkeys(_IMAGES, IMAGE),
-    **{topic.camera_info: CAMERA_INFO for topic in _IMAGES},
+    Topic.STATIC_TRANSFORMS: ros.TRANSFORMS,
+    Topic.PROXIMITY_CLOUD: ros.POINT_CLOUD,
+    Topic.TACTILE_CLOUD: ros.POINT_CLOUD,
+    **dict.fromkeys(_IMAGES, ros.IMAGE),
+    **{topic.camera_info: ros.CAMERA_INFO for topic in _IMAGES},
     Topic.DIAGNOSTICS: DIAGNOSTICS,
-    Topic.FRAME: TEXT,
-    Topic.RIG: TEXT,
+    Topic.FRAME: ros.TEXT,
+    Topic.RIG: ros.TEXT,
 }
 
 #: Topics that hardly change; they are sent again for clients that came later.
@@ -83,7 +75,6 @@ class LiveMessage:
     """
 
     topic: str
-    type: str
     data: bytes
     stamp_ns: int
 
@@ -148,7 +139,7 @@ class Messages:
     def get(self, topic: str) -> LiveMessage | None:
         """Return the message of one of the topics, or None if there is none this time."""
         data = self.parts[topic].get()
-        return None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
+        return None if data is None else LiveMessage(topic, data, self.stamp_ns)
 
 
 def frame_messages(
@@ -193,7 +184,7 @@ def frame_messages(
     builders: dict[str, Callable[[], bytes | None]] = {
         **messages.patch_builders(patch, stamp_ns),
         Topic.STATIC_TRANSFORMS: transforms,
-        Topic.TACTILE_CLOUD: lambda: cloud(frame.tactile_depth, rig.tactile, tactile_ns, TACTILE_FRAME),
+        Topic.TACTILE_CLOUD: lambda: cloud(frame.tactile_depth, rig.tactile, tactile_ns, ros.TACTILE_FRAME),
         Topic.DIAGNOSTICS: diagnostics,
         Topic.FRAME: lambda: messages.frame_text(frame),
         Topic.RIG: lambda: messages.text(json_text(rig_to_json(rig))),
@@ -201,7 +192,9 @@ def frame_messages(
     if tilt is not None:
         builders |= {Topic.TILT: partial(angles, tilt, ""), Topic.TILT_SIGMA: partial(angles, tilt, "_sigma")}
     if rig.has_proximity:
-        builders[Topic.PROXIMITY_CLOUD] = lambda: cloud(frame.proximity_depth, rig.proximity, stamp_ns, PROXIMITY_FRAME)
+        builders[Topic.PROXIMITY_CLOUD] = lambda: cloud(
+            frame.proximity_depth, rig.proximity, stamp_ns, ros.PROXIMITY_FRAME
+        )
     streams = messages.image_streams(rig)
     for topic, pixels in messages.images_of(frame, rig):
         stream = streams[topic]

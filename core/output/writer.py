@@ -26,36 +26,9 @@ from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..preset.file import preset_json
 from ..sources.base import FrameSource, Progress, frames_to_write
-from ..sources.ros.messages import (
-    CAMERA_INFO,
-    FORMAT_VERSION,
-    IMAGE,
-    METADATA_NAME,
-    PRESET_NAME,
-    RIG_NAME,
-    TEXT,
-    TRANSFORMS,
-    UNTOUCHED_NAME,
-    Topic,
-)
-from .messages import (
-    POSE_TOPICS,
-    SAID_ONCE,
-    STATIC_QOS,
-    LogClock,
-    definition,
-    frame_text,
-    image_streams,
-    images_of,
-    nanoseconds,
-    patch_parts,
-    pose_parts,
-    stamped,
-    static_transforms,
-    text,
-    topics_of,
-    type_hash,
-)
+from ..sources.ros import messages as ros
+from ..sources.ros.messages import Topic
+from . import messages
 
 Buffer = bytes | bytearray | memoryview
 #: One message: its topic, its time stamp in nanoseconds, and its bytes in pieces.
@@ -89,37 +62,37 @@ class BagWriter:
         self._output = _Output(self._file)
         output: Any = self._output
         self._writer: Any = Writer(output, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
-        files = {RIG_NAME: json_text(rig_to_json(rig)).encode(), **(attachments or {})}
+        files = {ros.RIG_NAME: json_text(rig_to_json(rig)).encode(), **(attachments or {})}
         if preset is not None:
-            files[PRESET_NAME] = preset_json(preset).encode()
+            files[ros.PRESET_NAME] = preset_json(preset).encode()
         with closed_on_error(self._discard), writing(self.path):
             self._begin(topics, files, frame_rate_hz)
 
     def _begin(self, topics: Mapping[str, str], files: Mapping[str, bytes], frame_rate_hz: float) -> None:
         writer = self._writer
         writer.start("ros2", f"tactune {version('tactune')}")
-        about = {"format_version": str(FORMAT_VERSION), "frame_rate_hz": repr(float(frame_rate_hz))}
-        writer.add_metadata(METADATA_NAME, about)
+        about = {"format_version": str(ros.FORMAT_VERSION), "frame_rate_hz": repr(float(frame_rate_hz))}
+        writer.add_metadata(ros.METADATA_NAME, about)
         for name, data in files.items():
             media_type = "application/json" if name.endswith(".json") else "application/octet-stream"
             writer.add_attachment(0, 0, name, media_type, data)
         kinds = dict.fromkeys(topics.values())
-        schemas = {kind: writer.register_schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}
+        schemas = {kind: writer.register_schema(kind, "ros2msg", messages.definition(kind).encode()) for kind in kinds}
         self._channels: dict[str, int] = {}
         for topic, kind in topics.items():
-            qos = STATIC_QOS if topic in SAID_ONCE else ""
-            about = {"offered_qos_profiles": qos, "topic_type_hash": type_hash(kind)}
+            qos = messages.STATIC_QOS if topic in messages.SAID_ONCE else ""
+            about = {"offered_qos_profiles": qos, "topic_type_hash": messages.type_hash(kind)}
             self._channels[topic] = writer.register_channel(topic, "cdr", schemas[kind], about)
 
     @property
     def size(self) -> int:
         return self._output.size
 
-    def write(self, sequence: int, log_time_ns: int, messages: Sequence[Message]) -> None:
+    def write(self, sequence: int, log_time_ns: int, found: Sequence[Message]) -> None:
         """Write messages compressed together, with their index; the operating system has them when this returns."""
         try:
             with writing(self.path):
-                for topic, stamp_ns, parts in messages:
+                for topic, stamp_ns, parts in found:
                     data, number = b"".join(parts), sequence & 0xFFFFFFFF
                     self._writer.add_message(self._channels[topic], log_time_ns, data, max(stamp_ns, 0), number)
                 self._writer.flush()
@@ -179,19 +152,19 @@ class PatchWriter(Closing):
     def __init__(
         self, path: Path | str, rig: Rig, preset: Preset, frame_rate_hz: float, *, poses: bool = False
     ) -> None:
-        self._clock = LogClock(1.0 / frame_rate_hz)
-        topics = topics_of(preset) | (POSE_TOPICS if poses else {})
+        self._clock = messages.LogClock(1.0 / frame_rate_hz)
+        topics = messages.topics_of(preset) | (messages.POSE_TOPICS if poses else {})
         self._bag = BagWriter(path, topics, rig, preset, frame_rate_hz)
 
     def write(self, patch: ContactPatch, time_s: float, pose: tuple[Float64Array, Float64Array] | None = None) -> None:
         """Write one patch, and the pose of the object: (4, 4) and its covariance, (6, 6)."""
-        stamp_ns = nanoseconds(time_s)
-        parts = patch_parts(patch, stamp_ns)
+        stamp_ns = messages.nanoseconds(time_s)
+        parts = messages.patch_parts(patch, stamp_ns)
         if pose is not None:
-            parts |= pose_parts(*pose, stamp_ns)
-        messages: list[Message] = [(topic, stamp_ns, (data,)) for topic, data in parts.items()]
+            parts |= messages.pose_parts(*pose, stamp_ns)
+        found: list[Message] = [(topic, stamp_ns, (data,)) for topic, data in parts.items()]
         with self._kept_told():
-            self._bag.write(patch.sequence, self._clock.tick(stamp_ns), messages)
+            self._bag.write(patch.sequence, self._clock.tick(stamp_ns), found)
 
     def close(self) -> None:
         """Finish the file, or remove one without a patch."""
@@ -266,9 +239,9 @@ class SessionWriter(Closing):
         results: Results | None = None,
     ) -> None:
         self._rig, self._preset, self._results = rig, preset, results
-        self._streams = image_streams(rig)
-        self._clock = LogClock(1.0 / frame_rate_hz)
-        attachments = {} if untouched is None else {UNTOUCHED_NAME: frame_bytes(untouched)}
+        self._streams = messages.image_streams(rig)
+        self._clock = messages.LogClock(1.0 / frame_rate_hz)
+        attachments = {} if untouched is None else {ros.UNTOUCHED_NAME: frame_bytes(untouched)}
         self._bag = BagWriter(path, self._topics(), rig, preset, frame_rate_hz, attachments)
         self._queue: deque[tuple[SensorFrame, int]] = deque()
         self._waiting_bytes = 0
@@ -318,18 +291,18 @@ class SessionWriter(Closing):
         return self.status()
 
     def _topics(self) -> dict[str, str]:
-        topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
-        topics |= {**topics_of(self._preset), Topic.FINDINGS: TEXT} if self._results is not None else {}
+        topics: dict[str, str] = {Topic.FRAME: ros.TEXT, Topic.RIG: ros.TEXT, Topic.STATIC_TRANSFORMS: ros.TRANSFORMS}
+        topics |= {**messages.topics_of(self._preset), Topic.FINDINGS: ros.TEXT} if self._results is not None else {}
         for stream in self._streams.values():
-            topics[stream.topic] = IMAGE
+            topics[stream.topic] = ros.IMAGE
             if stream.lens is not None:
-                topics[stream.topic.camera_info] = CAMERA_INFO
+                topics[stream.topic.camera_info] = ros.CAMERA_INFO
         return topics
 
     def _check(self, frame: SensorFrame) -> int:
         """Return the size of a frame in bytes; `FrameError` if it does not fit the rig."""
         size = 0
-        for topic, image in images_of(frame, self._rig):
+        for topic, image in messages.images_of(frame, self._rig):
             self._streams[topic].check(image, frame.sequence)
             size += image.nbytes
         return size
@@ -381,22 +354,24 @@ class SessionWriter(Closing):
             return frame
 
     def _write(self, frame: SensorFrame) -> None:
-        proximity_ns, tactile_ns = nanoseconds(frame.proximity_time_s), nanoseconds(frame.tactile_time_s)
+        proximity_ns, tactile_ns = map(messages.nanoseconds, (frame.proximity_time_s, frame.tactile_time_s))
         log_ns = self._clock.tick(proximity_ns)
-        messages: list[Message] = [(Topic.FRAME, proximity_ns, (frame_text(frame),))]
+        found: list[Message] = [(Topic.FRAME, proximity_ns, (messages.frame_text(frame),))]
         if not self._frames:
-            rig = text(json_text(rig_to_json(self._rig)))
-            messages.append((Topic.RIG, proximity_ns, (rig,)))
-            messages.append((Topic.STATIC_TRANSFORMS, proximity_ns, (static_transforms(self._rig, proximity_ns),)))
-        for topic, image in images_of(frame, self._rig):
+            rig = messages.text(json_text(rig_to_json(self._rig)))
+            found.append((Topic.RIG, proximity_ns, (rig,)))
+            found.append(
+                (Topic.STATIC_TRANSFORMS, proximity_ns, (messages.static_transforms(self._rig, proximity_ns),))
+            )
+        for topic, image in messages.images_of(frame, self._rig):
             stream = self._streams[topic]
             stamp_ns = tactile_ns if stream.of_tactile else proximity_ns
-            messages.append((topic, stamp_ns, stream.parts(image, frame.sequence, stamp_ns)))
+            found.append((topic, stamp_ns, stream.parts(image, frame.sequence, stamp_ns)))
             if stream.lens is not None:
-                messages.append((topic.camera_info, stamp_ns, (stamped(stream.lens, stamp_ns),)))
+                found.append((topic.camera_info, stamp_ns, (messages.stamped(stream.lens, stamp_ns),)))
         if self._results is not None:
-            messages += [(topic, proximity_ns, (data,)) for topic, data in self._results(frame).items()]
-        self._bag.write(frame.sequence, log_ns, messages)
+            found += [(topic, proximity_ns, (data,)) for topic, data in self._results(frame).items()]
+        self._bag.write(frame.sequence, log_ns, found)
         with self._changed:
             self._first_ns = self._first_ns if self._frames else log_ns
             self._last_ns = log_ns

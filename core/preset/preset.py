@@ -78,19 +78,14 @@ class Preset(Section):
     cameras: CamerasSection = CamerasSection()
     untouched: Annotated[
         UntouchedRecord | None,
-        described(
+        stored(
             "Untouched frame",
             "The untouched membrane, which some methods and the drift check compare with. Empty: not captured.",
-            hidden=True,
         ),
     ] = None
     noise: Annotated[
         RigNoise | None,
-        described(
-            "Noise and bias",
-            "The measured noise of both cameras and the bias between them. Empty: not measured.",
-            hidden=True,
-        ),
+        stored("Noise and bias", "The measured noise of both cameras and the bias between them. Empty: not measured."),
     ] = None
     suggested: Annotated[
         datetime | None,

@@ -26,7 +26,7 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array, s
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import CameraNoise, Preset, RigNoise, now
-from ..sources.base import CameraRole, Progress
+from ..sources.base import CameraRole, Progress, part_of
 from .bias import MeasuredBias, describe_bias, pressed_bias, print_bias
 from .untouched import TILE_PX, tile_medians
 
@@ -152,17 +152,12 @@ def describe(noise: RigNoise) -> list[str]:
 
 def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) -> tuple[CameraNoise, CameraNoise]:
     """Measure the noise of both cameras on two or more frames at rest; `FrameError` if they see too little."""
-
-    def measure(role: CameraRole, images: list[Uint16Array], membrane_m: float | None, start: float) -> CameraNoise:
-        camera = rig.tactile if role == "tactile" else rig.proximity
-        words = f"Measuring the {role} noise"
-        return _camera_noise(role, images, camera, membrane_m, lambda share: progress(start + share / 2, words))
-
-    tactile = measure("tactile", [frame.tactile_depth for frame in frames], None, 0.0)
+    images = [frame.tactile_depth for frame in frames]
+    tactile = _camera_noise("tactile", images, rig.tactile, None, part_of(progress, 0, 2))
     if not rig.has_proximity:
         return tactile, tactile
-    proximity = measure("proximity", [frame.proximity_depth for frame in frames], tactile.distance_m, 0.5)
-    return proximity, tactile
+    images = [frame.proximity_depth for frame in frames]
+    return _camera_noise("proximity", images, rig.proximity, tactile.distance_m, part_of(progress, 1, 2)), tactile
 
 
 #: Autocovariances at `_LAGS` and their standard errors, m^2.
@@ -170,11 +165,7 @@ Autocovariances = tuple[Float64Array, Float64Array]
 
 
 def _camera_noise(
-    role: CameraRole,
-    images: Sequence[Uint16Array],
-    camera: DepthCamera,
-    membrane_m: float | None,
-    report: Callable[[float], None],
+    role: CameraRole, images: Sequence[Uint16Array], camera: DepthCamera, membrane_m: float | None, progress: Progress
 ) -> CameraNoise:
     """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo."""
     depths = _metres(images, camera)
@@ -206,7 +197,9 @@ def _camera_noise(
     good = seen & (at_distance <= _FLYING * max(float(np.median(at_distance[seen])), camera.depth_unit_m / 4))
 
     # What changes tells the length first: the windows over which surfaces are fitted must be larger.
-    changing = _changing_autocovariances(depths, np.where(good, growth, np.float32(np.nan)), report)
+    words = f"Measuring the {role} noise"
+    smooth = np.where(good, growth, np.float32(np.nan))
+    changing = _changing_autocovariances(depths, smooth, lambda share: progress(share, words))
     (white_changing, shared_changing, *_), length_px = _fit_noise(changing)
     if shared_changing <= _MIN_CORRELATED * (white_changing + shared_changing):
         length_px = 0.0

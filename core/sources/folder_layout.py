@@ -16,7 +16,7 @@ from ..errors import SourceError, counted
 from ..model.arrays import Float64Array
 from ..model.loading import read_file
 from .base import PROXIMITY_NAMES, TACTILE_NAMES
-from .cameras.pairing import nearest_within, pairs, period_s
+from .cameras.pairing import nearest_within, period_s
 
 #: Cameras whose names hold numbers, which are no frames'.
 _MODELS: Final = "l515|d405"
@@ -138,19 +138,20 @@ def _paired(path: Path, name: str, found: dict[str, list[_Image]]) -> Layout:
     partners: dict[str, list[int]] = {}
     unmatched = 0
     if "tactile_depth" in found:
-        kept, other = _together(first, found["tactile_depth"])
+        there, back = _partners(first, found["tactile_depth"]), _partners(found["tactile_depth"], first)
+        kept = [index for index, other in enumerate(there) if other >= 0 and back[other] == index]
         unmatched = len(first) + len(found["tactile_depth"]) - 2 * len(kept)
         if not kept:
             raise SourceError(
                 f"{path}: none of the {counted(len(first), 'depth image')} of proximity ({first[0].path.name}, …) has "
                 f"a partner of tactile ({found['tactile_depth'][0].path.name}, …) by number or time; rename them"
             )
-        partners["tactile_depth"] = other
+        partners["tactile_depth"] = [there[index] for index in kept]
     depth = {"proximity": [first[index] for index in kept]}
     depth["tactile"] = [found["tactile_depth"][index] for index in partners.get("tactile_depth", ())]
     for role, images in depth.items():
         if images and f"{role}_color" in found:
-            partners[f"{role}_color"] = _nearest(images, found[f"{role}_color"])
+            partners[f"{role}_color"] = _partners(images, found[f"{role}_color"])
     frames = []
     for index, image in enumerate(depth["proximity"]):
         chosen = {slot: found[slot][each[index]].path for slot, each in partners.items() if each[index] >= 0}
@@ -162,23 +163,12 @@ def _paired(path: Path, name: str, found: dict[str, list[_Image]]) -> Layout:
     return Layout(name, tuple(frames), unmatched, 5000.0 if name == "TUM" else None)
 
 
-def _together(first: Sequence[_Image], second: Sequence[_Image]) -> tuple[list[int], list[int]]:
-    """Return the indices of images of both cameras that belong together."""
-    times, others = _stamps_s(first), _stamps_s(second)
-    if times is not None and others is not None:
-        ours, theirs = pairs(times, others, min(period_s(times), period_s(others)) / 2)
-        return ours.tolist(), theirs.tolist()
-    place = {image.number: index for index, image in enumerate(second)}
-    kept = [index for index, image in enumerate(first) if image.number in place]
-    return kept, [place[first[index].number] for index in kept]
-
-
-def _nearest(images: Sequence[_Image], colors: Sequence[_Image]) -> list[int]:
-    """Return the index of the colour image of each depth image, or -1."""
-    times, others = _stamps_s(images), _stamps_s(colors)
-    if times is not None and others is not None:
-        return list(nearest_within(times, others, period_s(others) / 2).tolist())
-    place = {image.number: index for index, image in enumerate(colors)}
+def _partners(images: Sequence[_Image], others: Sequence[_Image]) -> list[int]:
+    """Return the index of the image of another camera that belongs to each image, by time or number, or -1."""
+    times, their_times = _stamps_s(images), _stamps_s(others)
+    if times is not None and their_times is not None:
+        return list(nearest_within(times, their_times, period_s(their_times) / 2).tolist())
+    place = {image.number: index for index, image in enumerate(others)}
     return [place.get(image.number, -1) for image in images]
 
 

@@ -327,16 +327,8 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
         pose = None if turned is None else camera_pose(np.array(_flat(turned)).reshape(4, 4))
     except ValueError as error:
         raise SourceError(f"{path}: T_cn_cnm1 of {foreign(name, 40)}: {foreign(error, 120)}") from error
-    return StatedLens(
-        path,
-        label,
-        model,
-        coefficients,
-        tuple(whole.ravel().tolist()),
-        size and cut,
-        unit_m=None if scale is None else float(scale) * 1e-3,
-        T_this_previous=pose,
-    )
+    unit_m = None if scale is None else float(scale) * 1e-3
+    return StatedLens(path, label, model, coefficients, tuple(whole.ravel().tolist()), size and cut, unit_m, pose)
 
 
 def _whole_matrix(numbers: Sequence[float]) -> Float64Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import struct
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -107,8 +106,8 @@ def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[F
     return first.recorded_s, second.recorded_s
 
 
-class RecordingFile(ABC):
-    """An open recording. A subclass reads what one version of librealsense writes."""
+class RecordingFile:
+    """An open recording: a ``.bag``, as librealsense writes it up to 2.57."""
 
     def __init__(self, path: Path, bag: Bag, progress: Progress) -> None:
         self.path, self.bag = path, bag
@@ -116,30 +115,6 @@ class RecordingFile(ABC):
 
     def close(self) -> None:
         self.bag.close()
-
-    @abstractmethod
-    def image(self, topic: str, index: int) -> RawImage:
-        """Return an image by its number."""
-
-    @abstractmethod
-    def _names(self, topic: str) -> Mapping[str, str]:
-        """Return the names and values of a description."""
-
-    @abstractmethod
-    def _depth_unit_m(self, sensor: str) -> float | None:
-        """Return the depth unit of a sensor, or None if the recording does not say it."""
-
-    @abstractmethod
-    def _times(self, topic: str, images: str, progress: Progress) -> tuple[Float64Array, str]:
-        """Return the stamps of a stream, s, and the clock of these, empty if unknown; no image is decoded for this."""
-
-    @abstractmethod
-    def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
-        """Return the fields of a stream's `Intrinsics` in the driver's words, and its rate, Hz."""
-
-    @abstractmethod
-    def _pose(self, topic: str) -> Float64Array:
-        """Return the 4 x 4 matrix of a pose."""
 
     def _find_cameras(self, progress: Progress) -> list[tuple[RecordedCamera, Stream]]:
         found: dict[tuple[int, str], tuple[str, str]] = {}
@@ -200,24 +175,8 @@ class RecordingFile(ABC):
         read_color = None if color is None else color.read
         return RecordedCamera(self.path, calibration, depth.rate_hz, depth.stamps_s, depth.read, read_color, partners)
 
-
-def open_recording(path: Path, progress: Progress) -> RecordingFile:
-    bag = open_bag([path])
-    with closed_on_error(bag.close), damage_told(path, "this is no readable RealSense recording"):
-        # Decided by content, because a .bag may have been renamed.
-        opened = (BagFile if isinstance(bag, Ros1Bag) else Db3File)(path, bag, progress)
-        if not opened.cameras:
-            raise DamagedFileError("it holds no depth images")
-        return opened
-
-
-class BagFile(RecordingFile):
-    """A ``.bag``, as librealsense writes it up to 2.57."""
-
-    bag: Ros1Bag
-
     def image(self, topic: str, index: int) -> RawImage:
-        """Some versions append a list of metadata, which the library does not accept."""
+        """Return an image by its number; some versions append a list of metadata, which the library does not accept."""
         message = self.bag.raw(topic, index)
         _, at = _text(message, 12)
         height, width = struct.unpack_from("<II", message, at)
@@ -229,13 +188,16 @@ class BagFile(RecordingFile):
         return RawImage(height, width, encoding, bool(big_endian), step, np.frombuffer(message, np.uint8, size, at))
 
     def _names(self, topic: str) -> Mapping[str, str]:
+        """Return the names and values of a description."""
         return self._facts(topic, range(self.bag.count(topic)))
 
     def _depth_unit_m(self, sensor: str) -> float | None:
+        """Return the depth unit of a sensor, or None if the recording does not say it."""
         options = [f"{sensor}/option/{words}/value" for words in ("Depth Units", "Depth_Units")]
         return next((float(self._first(option).data) for option in options if self.bag.count(option)), None)
 
     def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
+        """Return the fields of a stream's `Intrinsics` in the driver's words, and its rate, Hz."""
         if not self.bag.count(f"{topic}/info"):
             raise DamagedFileError(f"the topic {topic}/info is missing")
         (rate_hz,) = struct.unpack_from("<I", self.bag.raw(f"{topic}/info", 0))
@@ -245,9 +207,11 @@ class BagFile(RecordingFile):
         return {**size, "distortion": lens.distortion_model, "coefficients": lens.D}, float(rate_hz)
 
     def _pose(self, topic: str) -> Float64Array:
+        """Return the 4 x 4 matrix of a pose."""
         return matrix_of(self._first(topic))
 
     def _times(self, topic: str, images: str, progress: Progress) -> tuple[Float64Array, str]:
+        """Return the stamps of a stream, s, and the clock of these, empty if unknown; no image is decoded for this."""
         about = f"{topic}/image/metadata"
         # Cameras write two dozen facts for every image; those of the last one tell the clock.
         written_ns = self.bag.times_ns(about)
@@ -266,7 +230,7 @@ class BagFile(RecordingFile):
 
 
 class Db3File(RecordingFile):
-    """A ``.db3``, as librealsense writes it from 2.58 on."""
+    """A ``.db3``, as librealsense writes it from 2.58 on: the same in other messages."""
 
     def image(self, topic: str, index: int) -> RawImage:
         data = self.bag.raw(topic, index)
@@ -312,6 +276,16 @@ class Db3File(RecordingFile):
         """Return the ``key=value;key=value`` of a message; a part without a value is a key with an empty value."""
         message: Any = TYPES.deserialize_cdr(self.bag.raw(topic, index), TEXT)
         return {key: value for key, _, value in (part.partition("=") for part in message.data.split(";")) if key}
+
+
+def open_recording(path: Path, progress: Progress) -> RecordingFile:
+    bag = open_bag([path])
+    with closed_on_error(bag.close), damage_told(path, "this is no readable RealSense recording"):
+        # Decided by content, because a .bag may have been renamed.
+        opened = (RecordingFile if isinstance(bag, Ros1Bag) else Db3File)(path, bag, progress)
+        if not opened.cameras:
+            raise DamagedFileError("it holds no depth images")
+        return opened
 
 
 def _text(message: memoryview, at: int) -> tuple[str, int]:

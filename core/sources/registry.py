@@ -8,7 +8,7 @@ from __future__ import annotations
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from ..errors import SourceError, closed_on_error, foreign
 from ..model.files import path_exists, recording_files, user_path
@@ -73,6 +73,11 @@ def _open_recording(scheme: str, rest: str, progress: Progress | None, _: Camera
     return McapSource(rest, progress)
 
 
+def _recordings(scheme: str, title: str, form: str, needs: Literal["folder", "file"], pattern: str) -> SourceKind:
+    opener = partial(_open_recording, scheme)
+    return SourceKind(scheme, title, form, opener, needs, pattern, files=2 if needs == "file" else 1)
+
+
 def _is_of_others(scheme: str, rest: str) -> bool:
     """Whether a recording is a ROS program's, neither librealsense's nor Tactune's own."""
     from .realsense_files import is_realsense
@@ -93,32 +98,9 @@ _OWN: Final = {
     for kind in (
         SourceKind("sim", "Simulator", "sim:SCENE", _open_simulator),
         SourceKind("folder", "Folder of images", "folder:PATH", _open_folder, "folder", "rig.json"),
-        SourceKind(
-            "bag",
-            "RealSense or ROS recording",
-            "bag:PATH[,PATH]",
-            partial(_open_recording, "bag"),
-            "file",
-            "*.bag *.db3",
-            files=2,
-        ),
-        SourceKind(
-            "mcap",
-            "Tactune or ROS recording",
-            "mcap:PATH[,PATH]",
-            partial(_open_recording, "mcap"),
-            "file",
-            "*.mcap",
-            files=2,
-        ),
-        SourceKind(
-            "rosbag",
-            "Folder of ros2 bag record",
-            "rosbag:PATH",
-            partial(_open_recording, "rosbag"),
-            "folder",
-            _ROS_FOLDER,
-        ),
+        _recordings("bag", "RealSense or ROS recording", "bag:PATH[,PATH]", "file", "*.bag *.db3"),
+        _recordings("mcap", "Tactune or ROS recording", "mcap:PATH[,PATH]", "file", "*.mcap"),
+        _recordings("rosbag", "Folder of ros2 bag record", "rosbag:PATH", "folder", _ROS_FOLDER),
         SourceKind("cameras", "Cameras", "cameras:[PROXIMITY,TACTILE]", _open_cameras),
         SourceKind("ros2", "Live ROS 2 topics", "ros2:[?domain=N]", _open_ros2),
         SourceKind("live", "Any source, played live", "live:SOURCE", _open_as_live),

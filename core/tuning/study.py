@@ -158,7 +158,8 @@ class Study:
         known += [self._values(trial.system_attrs["fixed_params"]) for trial in queued]
         for point in points:
             if point not in known:
-                self._study.enqueue_trial({axis.path: _label(axis, point[axis.path]) for axis in self.plan.axes})
+                labels = {axis.path: json.dumps(point[axis.path]) for axis in self.plan.axes if axis.values}
+                self._study.enqueue_trial(point | labels)
 
     def _tell(self, trial: optuna.Trial, measured: Measured) -> None:
         """Write a result to the file."""
@@ -211,18 +212,13 @@ def _worker() -> Iterator[None]:
 def _suggest(axes: Sequence[Axis], trial: optuna.Trial) -> optuna.Trial:
     """Have a trial choose its parameters."""
     for axis in axes:
-        if axis.values:
-            trial.suggest_categorical(axis.path, [_label(axis, value) for value in axis.values])
+        if axis.values:  # as JSON text, because lists and poses are no choices
+            trial.suggest_categorical(axis.path, list(map(json.dumps, axis.values)))
         elif axis.whole:
             trial.suggest_int(axis.path, round(axis.low), round(axis.high), log=axis.log)
         else:
             trial.suggest_float(axis.path, axis.low, axis.high, log=axis.log)
     return trial
-
-
-def _label(axis: Axis, value: Any) -> Any:
-    """Return a value as Optuna stores it: a listed one as JSON text, because lists and poses are no choices."""
-    return json.dumps(value) if axis.values else value
 
 
 def tuned_preset(plan: Plan, trial: Trial, trials: int) -> Preset:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from ...model.sections import Section, described
+from ...model.sections import Section, SmallestContact, described
 
 
 class PressureSection(Section):
@@ -47,17 +47,7 @@ class PressureSection(Section):
             limits=(0.01, 5.0),
         ),
     ] = 0.12
-    min_area_mm2: Annotated[
-        float,
-        described(
-            "Smallest contact",
-            "Connected groups of pixels with a smaller area are dropped. 0 keeps all.",
-            unit="mm2",
-            slider=(0.0, 500.0),
-            step=5.0,
-            limits=(0.0, 1e6),
-        ),
-    ] = 5.0
+    min_area_mm2: SmallestContact = 5.0
     gauge_pa: Annotated[
         float,
         described(

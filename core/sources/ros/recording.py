@@ -92,10 +92,6 @@ class Frames:
                     waiting.append(other)
         return None
 
-    def joined(self, first: str, second: str) -> bool:
-        """Whether the pose between two frames is known."""
-        return self.pose(first, second) is not None
-
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
@@ -115,7 +111,7 @@ def inspect_recording(text: str, progress: Progress | None = None) -> Inspection
         return None
     with closing(open_bag(paths, progress)) as bag, damage_told(path, "it is damaged"):
         images, frames = survey(bag), Frames(bag)
-        guess, gap = guess_topics(images, frames.joined)
+        guess, gap = guess_topics(images, frames.pose)
         pictures = {}
         for image in images:
             with suppress(Exception):  # one that is damaged or of an unknown encoding is listed without a picture
@@ -177,9 +173,9 @@ def stated_rig(bag: Bag, images: Sequence[ImageTopic], announced: Mapping[str, s
     """
     lacks: list[str] = []
     frames = Frames(bag)
-    topics, gap = guess_topics(images, frames.joined)
+    topics, gap = guess_topics(images, frames.pose)
     if chosen:
-        topics, gap = complete_topics(chosen, topics, images, frames.joined)
+        topics, gap = complete_topics(chosen, topics, images, frames.pose)
     if gap:
         raise GapError(gap)
     known = {image.name: image for image in images}

@@ -75,6 +75,8 @@ def camera_of(topic: str) -> str:
 
 #: A topic for each of `SLOTS` that is used.
 Topics = dict[str, str]
+#: Returns the pose between two coordinate frames, or None.
+Pose = Callable[[str, str], object]
 
 
 def survey(bag: Bag) -> tuple[ImageTopic, ...]:
@@ -93,20 +95,10 @@ def survey(bag: Bag) -> tuple[ImageTopic, ...]:
         words = frozenset(re.split(r"[/_]", topic))
         says_depth = "depth" in words or "stereo" in words
         is_depth = image.is_depth and (says_depth or (image.encoding != "mono16" and not words & _INFRARED))
-        frame = message.header.frame_id
-        found.append(
-            ImageTopic(
-                topic,
-                bag.types[topic],
-                "depth" if is_depth else "color",
-                image.encoding,
-                image.width,
-                image.height,
-                bag.count(topic),
-                frame,
-                _info_of(topic, frame, infos, frames),
-            )
-        )
+        kind: Literal["depth", "color"] = "depth" if is_depth else "color"
+        frame, stated, count = message.header.frame_id, (image.encoding, image.width, image.height), bag.count(topic)
+        info = _info_of(topic, frame, infos, frames)
+        found.append(ImageTopic(topic, bag.types[topic], kind, *stated, count, frame, info))
     return tuple(found)
 
 
@@ -133,8 +125,8 @@ def _info_of(topic: str, frame: str, infos: set[str], frames: Mapping[str, str])
     return same[0] if len(same) == 1 else ""
 
 
-def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool]) -> tuple[Topics, str]:
-    """Return the topics of a rig, or a clause about what is missing; colour must be ``joined`` to its depth's frame."""
+def guess_topics(images: Sequence[ImageTopic], pose: Pose) -> tuple[Topics, str]:
+    """Return the topics of a rig, or a clause about what is missing; a ``pose`` joins colour to its depth."""
     cameras: defaultdict[str, list[ImageTopic]] = defaultdict(list)
     for image in images:
         cameras[image.camera].append(image)
@@ -148,7 +140,7 @@ def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool
         return {}, "its names do not say which camera is proximity and which is tactile"
     topics: Topics = {}
     for role, name in roles.items():
-        depth, color = _streams(with_depth[name], joined)
+        depth, color = _streams(with_depth[name], pose)
         topics[f"{role}.depth"] = depth.name
         if color is not None:
             topics[f"{role}.color"] = color.name
@@ -169,7 +161,7 @@ def _roles(cameras: list[str]) -> dict[str, str] | None:
     return None
 
 
-def _streams(group: Sequence[ImageTopic], joined: Callable[[str, str], bool]) -> tuple[ImageTopic, ImageTopic | None]:
+def _streams(group: Sequence[ImageTopic], pose: Pose) -> tuple[ImageTopic, ImageTopic | None]:
     """Return the depth and the colour of one camera: raw before compressed, in the camera's own frame if possible."""
 
     def depth_rank(image: ImageTopic) -> tuple[bool, ...]:
@@ -184,14 +176,12 @@ def _streams(group: Sequence[ImageTopic], joined: Callable[[str, str], bool]) ->
     colors = sorted((image for image in group if image.kind == "color"), key=color_rank)
     for color in colors:
         for depth in depths:
-            if depth.frame == color.frame or joined(depth.frame, color.frame):
+            if depth.frame == color.frame or pose(depth.frame, color.frame) is not None:
                 return depth, color
     return depths[0], None
 
 
-def complete_topics(
-    chosen: Topics, guess: Topics, images: Sequence[ImageTopic], joined: Callable[[str, str], bool]
-) -> tuple[Topics, str]:
+def complete_topics(chosen: Topics, guess: Topics, images: Sequence[ImageTopic], pose: Pose) -> tuple[Topics, str]:
     """Return the topics that a person named with what follows from them, and a clause that says what is missing."""
     topics = dict(chosen) if any(slot.endswith(".depth") for slot in chosen) else guess | chosen
     for role in ("proximity", "tactile"):
@@ -200,7 +190,7 @@ def complete_topics(
         depth = [image for image in images if image.name == topics.get(f"{role}.depth")]
         if depth and f"{role}.color" not in topics:
             group = [image for image in images if image.kind == "color" and image.camera == depth[0].camera]
-            if (color := _streams([*depth, *group], joined)[1]) is not None:
+            if (color := _streams([*depth, *group], pose)[1]) is not None:
                 topics[f"{role}.color"] = color.name
     if topics.get("proximity.depth") == topics.get("tactile.depth") is not None:
         return topics, "--topics names one topic as the depth of both cameras"

@@ -12,6 +12,7 @@ from ...model.arrays import Float32Array, Float64Array, Uint8Array, Uint16Array
 from ...model.clouds import nearest_pixels
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, pose_matrix, rigid_transform
 from ...model.intrinsics import Intrinsics
+from . import render
 from .membrane import (
     ATMOSPHERE_PA,
     Membrane,
@@ -22,22 +23,7 @@ from .membrane import (
     object_pose,
 )
 from .objects import clearance, turn
-from .render import (
-    CLEAN_UNIT_M,
-    DOT_RADIUS_M,
-    DOT_SPACING_M,
-    TEXEL_M,
-    Camera,
-    Surface,
-    dot_counts,
-    dot_grid,
-    flag,
-    node_areas,
-    paint_sheet,
-    rasterise,
-    see_through,
-    shade,
-)
+from .render import Camera, Surface
 from .scenes import Scene, Step
 
 #: Distance of the standard membrane's inflated, untouched apex from the proximity camera's plane, metres.
@@ -142,7 +128,7 @@ class Press:
         self.membrane = membrane
         self._cameras = cameras(rig)
         design = membrane.design
-        self._sheet = paint_sheet(design.width_m, design.height_m, scene.print)
+        self._sheet = render.paint_sheet(design.width_m, design.height_m, scene.print)
         #: From 4096 linear levels to 8-bit display values.
         self._gamma = np.round(255.0 * np.linspace(0.0, 1.0, 4096) ** (1 / 2.2)).astype(np.uint8)
         self._rotation = turn(self.pressed.rotation_deg)
@@ -222,17 +208,17 @@ class Press:
         mesh, kind = self.membrane.mesh, self.pressed.kind
         surface = self.membrane.surface(state.nodes)
         touching = contact_share(self.membrane, state, kind, pose)
-        areas = node_areas(surface, mesh.triangles)
+        areas = render.node_areas(surface, mesh.triangles)
         sizes = np.linalg.norm(areas, axis=1)
         pressure = np.linalg.norm(contact_load(self.membrane, state), axis=1) / sizes
         values = np.column_stack([mesh.flat[:, :2], touching, areas / sizes[:, None], pressure])
         near, tactile, colour = self._cameras
-        sheets = [rasterise(camera, surface, mesh.triangles, values) for camera in self._cameras]
+        sheets = [render.rasterise(camera, surface, mesh.triangles, values) for camera in self._cameras]
 
         behind, cosine = np.empty_like(sheets[0].depth), np.empty(sheets[0].depth.shape, dtype=np.uint8)
-        see_through(near.pose, near.pinhole, sheets[0].depth, kind, pose, np.array(_BACKDROP), behind, cosine)
+        render.see_through(near.pose, near.pinhole, sheets[0].depth, kind, pose, np.array(_BACKDROP), behind, cosine)
         flags = np.empty_like(cosine)
-        flag(behind, sheets[0].attributes, self._sheet, TEXEL_M, flags)
+        render.flag(behind, sheets[0].attributes, self._sheet, render.TEXEL_M, flags)
         return CleanState(
             behind=_counts(behind),
             membrane=_counts(sheets[0].depth),
@@ -246,7 +232,7 @@ class Press:
 
     def _colour(self, camera: Camera, sheet: Surface, pose: Float64Array) -> Uint8Array:
         image = np.empty((*sheet.depth.shape, 3), dtype=np.uint8)
-        shade(
+        render.shade(
             camera.pose,
             camera.pinhole,
             sheet.depth,
@@ -255,7 +241,7 @@ class Press:
             pose,
             np.array(self.pressed.colour),
             self._sheet,
-            TEXEL_M,
+            render.TEXEL_M,
             self._gamma,
             image,
         )
@@ -263,7 +249,7 @@ class Press:
 
 
 def _counts(depth_m: Float32Array) -> Uint16Array:
-    return np.round(depth_m.astype(np.float64) / CLEAN_UNIT_M).astype(np.uint16)
+    return np.round(depth_m.astype(np.float64) / render.CLEAN_UNIT_M).astype(np.uint16)
 
 
 def _follow(
@@ -290,13 +276,13 @@ def _follow(
 def true_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> TrueStrain:
     """Return the strain for membrane nodes (N, 3), from dot to dot; 0 where no two neighbouring dots are seen whole."""
     design = membrane.design
-    columns, rows = dot_counts(design.width_m, design.height_m)
-    flat = dot_grid(design.width_m, design.height_m)
+    columns, rows = render.dot_counts(design.width_m, design.height_m)
+    flat = render.dot_grid(design.width_m, design.height_m)
     dots = membrane.at(flat, membrane.surface(nodes)).reshape(rows, columns, 3)
     whole = (_dots_shown(membrane, nodes, camera) >= _WHOLE_SHARE).reshape(rows, columns)
     largest = []
     for axis in (1, 0):
-        strain = np.linalg.norm(np.diff(dots, axis=axis), axis=2) / DOT_SPACING_M - 1.0
+        strain = np.linalg.norm(np.diff(dots, axis=axis), axis=2) / render.DOT_SPACING_M - 1.0
         both = np.take(whole, range(1, whole.shape[axis]), axis) & np.take(whole, range(whole.shape[axis] - 1), axis)
         largest.append((float(strain.max()), float(strain[both].max(initial=0.0))))
     (length, length_seen), (width, width_seen) = largest
@@ -308,10 +294,10 @@ def _dots_shown(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Floa
     design, mesh = membrane.design, membrane.mesh
     steps = (np.arange(_POINTS_ACROSS) + 0.5) / _POINTS_ACROSS * 2.0 - 1.0
     disc = np.stack(np.meshgrid(steps, steps), axis=2).reshape(-1, 2)
-    disc = DOT_RADIUS_M * disc[np.hypot(*disc.T) <= 1.0]
-    grid = dot_grid(design.width_m, design.height_m)
+    disc = render.DOT_RADIUS_M * disc[np.hypot(*disc.T) <= 1.0]
+    grid = render.dot_grid(design.width_m, design.height_m)
     surface = membrane.surface(nodes)
-    depth_m = rasterise(camera, surface, mesh.triangles, np.zeros((len(nodes), 6))).depth
+    depth_m = render.rasterise(camera, surface, mesh.triangles, np.zeros((len(nodes), 6))).depth
     points = membrane.at((grid[:, None] + disc).reshape(-1, 2), surface)
     points = points @ camera.pose[:, :3].T + camera.pose[:, 3]
     row, column, inside = nearest_pixels(points, camera.intrinsics)

@@ -12,7 +12,7 @@ from ...contact.masking import in_hsv_range
 from ...contact.membrane.frame_bias import most_frequent_m
 from ...contact.pixels import colors_at
 from ...errors import AdviceError
-from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
+from ...model.arrays import BoolArray, Float64Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
 from ...preset import MaskSection, Preset
@@ -147,35 +147,25 @@ def _colours(frame: SensorFrame, preset: Preset, rig: Rig, *, pressed: bool) -> 
         bare = behind_m > _THROUGH_M
         near = (np.abs(behind_m) < _ON_PRINT_M).view(np.uint8)
     near = np.asarray(cv2.morphologyEx(near, cv2.MORPH_OPEN, _THREE))  # without single pixels
-    rgb, seen = _membrane_colours(frame, bare | (near > 0), expected_m - difference_m, rig)
+    pixels = np.flatnonzero(bare | (near > 0))
+    depth = (expected_m - difference_m).reshape(-1)[pixels, None]  # of the membrane
+    points = np.concatenate([ray_table(rig.proximity.intrinsics).reshape(-1, 2)[pixels] * depth, depth], axis=1)
+    colors, known = colors_at(np.ascontiguousarray(points, np.float32), pixels, frame.proximity_color, rig)
+    rgb, seen = np.zeros((*bare.shape, 3), np.uint8), np.zeros(bare.shape, bool)
+    rgb.reshape(-1, 3)[pixels] = colors
+    seen.reshape(-1)[pixels[known]] = True
     prints, bare = (near > 0) & seen, bare & (near == 0) & seen
     if pressed:
         large = _large_groups(near)
         prints &= ~large
-        prints &= ~_of_object(rgb, prints, large & seen)
+        # a colour that is as frequent in contact as on prints is that of the object
+        hue, saturation, _ = np.moveaxis(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), 2, 0).astype(np.intp)
+        colour = hue // _HUE_BIN * 256 + saturation // _SATURATION_BIN
+        touched, printed = (
+            np.bincount(colour[part], minlength=256 * _HUES) / max(part.sum(), 1) for part in (large & seen, prints)
+        )
+        prints &= ~(touched * _TYPICAL > printed)[colour]
     return _Colours(prints, bare, rgb)
-
-
-def _of_object(rgb: Uint8Array, prints: BoolArray, touched: BoolArray) -> BoolArray:
-    """Return which pixels have a colour that is as frequent in contact as on prints, so it is that of the object."""
-    hue, saturation, _ = np.moveaxis(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), 2, 0).astype(np.intp)
-    colour = hue // _HUE_BIN * 256 + saturation // _SATURATION_BIN
-    there, here = (np.bincount(colour[part], minlength=256 * _HUES) / max(part.sum(), 1) for part in (touched, prints))
-    return np.asarray((there * _TYPICAL > here)[colour])
-
-
-def _membrane_colours(
-    frame: SensorFrame, wanted: BoolArray, membrane_m: Float32Array, rig: Rig
-) -> tuple[Uint8Array, BoolArray]:
-    """Return the colour of the membrane at each wanted pixel, and which of them the colour camera sees."""
-    pixels = np.flatnonzero(wanted)
-    depth = membrane_m.reshape(-1)[pixels, None]
-    points = np.concatenate([ray_table(rig.proximity.intrinsics).reshape(-1, 2)[pixels] * depth, depth], axis=1)
-    colors, seen = colors_at(np.ascontiguousarray(points, np.float32), pixels, frame.proximity_color, rig)
-    image, known = np.zeros((*wanted.shape, 3), np.uint8), np.zeros(wanted.shape, bool)
-    image.reshape(-1, 3)[pixels] = colors
-    known.reshape(-1)[pixels[seen]] = True
-    return image, known
 
 
 def _hues_around_mean(hue: Float64Array) -> tuple[float, Float64Array]:

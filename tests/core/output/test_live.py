@@ -181,7 +181,7 @@ def test_a_client_that_reads_nothing_delays_no_other_and_keeps_little(sink):
             time.sleep(0.01)
         messages = quick.raw_messages()
         for stamp_ns in range(1, 101):
-            sink.send([LiveMessage(TOPIC, NUMBER, bytes(2_000_000), stamp_ns)])
+            sink.send([LiveMessage(TOPIC, bytes(2_000_000), stamp_ns)])
             assert next(messages)[1] == stamp_ns
         client = next(it for it in sink._clients if it.waiting)
         assert list(client.waiting) == [TOPIC] and client.waiting[TOPIC].stamp_ns == 100

@@ -45,7 +45,7 @@ def test_every_topic_arrives_bit_for_bit(processed):
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
     built = frame_messages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
     found = [built.get(topic) for topic in built.parts]
-    seen = {message.topic: decoded(message.type, message.data) for message in found if message is not None}
+    seen = {each.topic: decoded(LIVE_TOPICS[each.topic], each.data) for each in found if each is not None}
     seen |= {
         topic: decoded(LIVE_TOPICS[topic], data)
         for topic, data in pose_parts(np.array(TURN), covariance, built.stamp_ns).items()
@@ -172,7 +172,7 @@ def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(processed):
         sink.wait_for(lambda messages: len(messages) == 4)
     [pose] = [message for message in sink.messages if message.topic == "/object/pose"]
     assert pose.stamp_ns == sink.messages[0].stamp_ns
-    assert decoded(pose.type, pose.data).pose.pose.position.y == 0.2
+    assert decoded(LIVE_TOPICS[pose.topic], pose.data).pose.pose.position.y == 0.2
 
 
 def test_a_topic_is_announced_once_a_frame_has_it(processed):
