@@ -14,9 +14,8 @@ from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import new_gesture
-from ...widgets.clouds.cloud_canvas import Place
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.clouds.cloud_view import as_place
+from ...widgets.clouds.view_camera import Place, as_place
 from ...widgets.images.eyedropper import RADIUS, Mode, new_ranges
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel

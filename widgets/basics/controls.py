@@ -318,20 +318,15 @@ class ProgressCard(QFrame):
 
 
 class CollapsibleSection(QFrame):
-    """A titled section: a header button that folds the body, and header widgets beside the title."""
+    """A titled section: a header button that folds the body; what is added to ``header`` stays when it is folded."""
 
     def __init__(self, title: str) -> None:
         super().__init__()
         self.body = QWidget()
         self.button = FoldButton(title, f"{title} section", f"Fold or unfold {title.lower()}", self.body)
         self.button.setFont(text_font("body", bold=True))
-        header = QFrame()
-        self._header_layout = hbox((self.button, 1), within=header, margins=(4, 0, 4, 0), spacing=4)
-        vbox(header, self.body, within=self, margins=0, spacing=0)
-
-    def add_header_widget(self, widget: QWidget) -> None:
-        """Put a widget at the right end of the header, where it stays when the section is folded."""
-        self._header_layout.addWidget(widget)
+        self.header = hbox((self.button, 1), margins=(4, 0, 4, 0), spacing=4)
+        vbox(self.header, self.body, within=self, margins=0, spacing=0)
 
 
 #: All edits of one drag, or of one burst of keys, share a number.

@@ -11,7 +11,6 @@ from PyQt6.QtGui import QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
     QFrame,
-    QHBoxLayout,
     QPlainTextEdit,
     QPushButton,
     QToolButton,
@@ -81,10 +80,7 @@ class Message(QFrame):
         dismiss = tool_button("", "Dismiss this message (Esc)", "Dismiss", icon_name="close")
         dismiss.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         dismiss.clicked.connect(close)
-        first = QHBoxLayout()
-        first.addWidget(text, 1)
-        first.addWidget(dismiss, 0, Qt.AlignmentFlag.AlignTop)
-        body = vbox(first, margins=(8, 4, 4, 4), spacing=4)
+        body = vbox(hbox((text, 1), vbox(dismiss, STRETCH)), margins=(8, 4, 4, 4), spacing=4)
         answers: list[QWidget] = [self._details_button(details, body)] if details else []
         for name, action in offers:
             button = push_button(name, "")

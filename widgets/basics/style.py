@@ -49,7 +49,8 @@ class _Style(QProxyStyle):
 
     def polish(self, target: Any) -> Any:
         if isinstance(target, QWidget) and target.inherits("QTipLabel"):
-            self._tips.watch(target)
+            target.setMaximumWidth(_MAX_TIP_PX)  # Qt places it by this width
+            target.installEventFilter(self._tips)
         return super().polish(target)
 
     def drawPrimitive(
@@ -92,10 +93,6 @@ class _TipWrapper(QObject):
 
     Qt makes a new label for almost every tooltip, and the style sees each one before it is shown.
     """
-
-    def watch(self, tip: QWidget) -> None:
-        tip.setMaximumWidth(_MAX_TIP_PX)  # Qt places it by this width
-        tip.installEventFilter(self)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Give the label the height of its wrapped text, inside the screen."""

@@ -27,9 +27,7 @@ from ..basics.colormaps import over_background
 from ..basics.overlays import Reading, WipeGrip, paint_readings, paint_wipe
 from ..basics.theme import CASING, ThemeName, text_font, theme_name
 from .cloud_data import HIGHEST_COUNT, DepthCloud
-from .view_camera import FAR, NEAR, ViewCamera
-
-Place = tuple[float, float, float]
+from .view_camera import FAR, NEAR, Place, ViewCamera
 
 #: A pixel that no point covers.
 _EMPTY = np.uint32(0xFFFFFFFF)

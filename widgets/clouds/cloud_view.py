@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from math import pi, radians
 
 import numpy as np
-import numpy.typing as npt
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QMouseEvent, QWheelEvent
 from PyQt6.QtWidgets import QWidget
@@ -17,9 +16,9 @@ from ..basics.controls import timer
 from ..basics.layouts import vbox
 from ..basics.overlays import Notice, Reading, Wipe
 from ..basics.view_header import ViewHeader
-from .cloud_canvas import CloudCanvas, Place
+from .cloud_canvas import CloudCanvas
 from .cloud_data import DepthCloud
-from .view_camera import ViewCamera, Viewpoint
+from .view_camera import Place, ViewCamera, Viewpoint, as_place
 
 #: Distance in pixels within which a point is picked.
 PICK_PX = 10.0
@@ -352,11 +351,6 @@ class CloudView(QWidget):
     def _zoom(self, factor: float, at: QPointF | None = None) -> None:
         at = at or QPointF(self.canvas.width() / 2, self.canvas.height() / 2)
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
-
-
-def as_place(point: npt.ArrayLike) -> Place:
-    x, y, z = (float(value) for value in np.asarray(point))
-    return x, y, z
 
 
 def link_cameras(views: Sequence[CloudView]) -> None:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ...core.model.arrays import Float64Array
 
 Viewpoint = Literal["reset", "front", "top", "side"]
+Place = tuple[float, float, float]
 
 #: Azimuth and elevation of the named viewpoints, radians.
 VIEWPOINTS: dict[str, tuple[float, float]] = {
@@ -43,7 +44,7 @@ class ViewCamera:
     elevation above the horizontal plane, from -pi/2 to pi/2; ``field_of_view`` over the shorter side of the view.
     """
 
-    target: tuple[float, float, float] = (0.0, 0.0, 0.25)
+    target: Place = (0.0, 0.0, 0.25)
     distance: float = 0.6
     azimuth: float = VIEWPOINTS["reset"][0]
     elevation: float = VIEWPOINTS["reset"][1]
@@ -91,7 +92,7 @@ class ViewCamera:
         right, up, _ = self.axes()
         metres = self.distance / self._focal(width, height)
         target = np.array(self.target) + metres * (dy * up - dx * right)
-        return replace(self, target=_triple(target))
+        return replace(self, target=as_place(target))
 
     def zoomed(self, factor: float, at: tuple[float, float], width: int, height: int) -> Self:
         """Divide the distance by ``factor``, keeping the point under pixel ``at`` in place."""
@@ -117,7 +118,7 @@ class ViewCamera:
         eye_back = max(x_distance, y_distance)
         middle_back = float(np.median(along[:, 2]))
         distance = min(max(eye_back - middle_back, _SHORTEST_M), _LONGEST_M)
-        return replace(self, target=_triple(np.array([x, y, eye_back - distance]) @ axes), distance=distance)
+        return replace(self, target=as_place(np.array([x, y, eye_back - distance]) @ axes), distance=distance)
 
     def _focal(self, width: float, height: float) -> float:
         return 0.5 * min(width, height) / tan(self.field_of_view / 2)
@@ -130,5 +131,6 @@ def _frame_one_axis(across: Float64Array, back: Float64Array, half_slope: float)
     return (low + high) / 2, (high - low) / (2 * half_slope)
 
 
-def _triple(vector: Float64Array) -> tuple[float, float, float]:
-    return float(vector[0]), float(vector[1]), float(vector[2])
+def as_place(point: npt.ArrayLike) -> Place:
+    x, y, z = (float(value) for value in np.asarray(point))
+    return x, y, z

@@ -196,7 +196,13 @@ class PointImage(ImagePane):
         return True
 
     def _move(self, event: QMouseEvent) -> bool:
-        self._point_at(event.position())
+        place = self.image_place(event.position())
+        inside = self._inside(place)
+        if self._magnifies and inside:
+            self.loupe.show_at(event.position(), place)
+        else:
+            self.loupe.hide()
+        self.pointed.emit(*(place if inside else (float("nan"), float("nan"))))
         if self._held is None:
             return False
         if self._held_moves or self._went_far(event.position()):
@@ -220,15 +226,6 @@ class PointImage(ImagePane):
     def _went_far(self, position: QPointF) -> bool:
         offset = position - (self._pressed_at or position)
         return offset.manhattanLength() > _CLICK_SLOP
-
-    def _point_at(self, position: QPointF) -> None:
-        place = self.image_place(position)
-        inside = self._inside(place)
-        if self._magnifies and inside:
-            self.loupe.show_at(position, place)
-        else:
-            self.loupe.hide()
-        self.pointed.emit(*(place if inside else (float("nan"), float("nan"))))
 
     def _inside(self, place: tuple[float, float]) -> bool:
         return self.image_rect().contains(QPointF(*place))

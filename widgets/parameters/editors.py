@@ -238,24 +238,17 @@ class ChoiceEditor(QComboBox):
         self.addItems(list(spec.choices))
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setValue(spec.default)
-        self._shown = self.value()
-        self.activated.connect(self._activated)
+        self.activated.connect(lambda _: self.edited.emit(self.value(), new_gesture()))
 
     def value(self) -> str:
         return self.currentText()
 
     def setValue(self, value: str) -> None:
         self.setCurrentText(value)
-        self._shown = value
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
         if event is not None:
             event.ignore()
-
-    def _activated(self, _: int) -> None:
-        if self.value() != self._shown:
-            self._shown = self.value()
-            self.edited.emit(self._shown, new_gesture())
 
 
 class FlagEditor(QCheckBox):
@@ -299,18 +292,9 @@ class MatrixView(QLabel):
         self.setText("\n".join(rows) or "from the rig")
 
 
-_EDITORS: dict[str, Any] = {
-    "number": NumbersEditor,
-    "range": NumbersEditor,
-    "rectangle": NumbersEditor,
-    "choice": ChoiceEditor,
-    "flag": FlagEditor,
-    "matrix": MatrixView,
-}
-
-
 def make_editor(spec: FieldSpec) -> Any:
-    widget = named(_EDITORS[spec.kind](spec), spec.title, spec.tooltip)
+    kind: Any = {"choice": ChoiceEditor, "flag": FlagEditor, "matrix": MatrixView}.get(spec.kind, NumbersEditor)
+    widget = named(kind(spec), spec.title, spec.tooltip)
     if spec.kind == "matrix":
         widget.setAccessibleName("")  # a name would keep a screen reader from its numbers
     return widget

@@ -116,7 +116,6 @@ class ParameterPanel(QScrollArea):
         row = self.rows[path]
         row.show_value(self._preset.value(path))
         row.refuse(sentence)
-        self.sections[_section_of(path)].button.fold(False)
         self._unfold(path)
         self._refresh()
 
@@ -126,7 +125,6 @@ class ParameterPanel(QScrollArea):
 
     def go_to(self, path: str) -> None:
         """Unfold the section of a field and give the field the focus."""
-        self.sections[_section_of(path)].button.fold(False)
         self._unfold(path)
         row = self.rows[path]
         if not row.widget.isEnabled():  # the section is off: show its switch
@@ -141,6 +139,7 @@ class ParameterPanel(QScrollArea):
             row.show_finding(findings.get(path, ""))
 
     def _unfold(self, path: str) -> None:
+        self.sections[_section_of(path)].button.fold(False)
         if self.rows[path].spec.advanced:
             self.forms[_section_of(path)].more.fold(False)
 
@@ -204,12 +203,12 @@ class ParameterPanel(QScrollArea):
         reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
         reset.clicked.connect(lambda: self._reset_section(name))
         keep_place(reset)
-        section.add_header_widget(reset)
+        section.header.addWidget(reset)
         for spec in fields_of(name):
             row = self.rows[spec.path] = ParameterRow(spec, section)
             form.add(row)
             if row.in_header:
-                section.add_header_widget(row.widget)
+                section.header.addWidget(row.widget)
             self._add_below(spec, form)
         form.edited.connect(self._row_edited)
         if name == "mask":
@@ -225,7 +224,7 @@ class ParameterPanel(QScrollArea):
             tip = f"Measure {title.lower()} from the newest frames and the untouched frame, and propose values"
             suggest = self.suggests[name] = tool_button("Suggest", tip, f"Suggest {name.replace('_', ' ')}")
             suggest.clicked.connect(lambda: self.suggestRequested.emit(name))
-            section.add_header_widget(suggest)
+            section.header.addWidget(suggest)
         return section
 
     def _add_below(self, spec: FieldSpec, form: Form) -> None:

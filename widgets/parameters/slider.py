@@ -188,14 +188,14 @@ class Slider(QWidget):
 
     def _drag_to(self, x: float) -> None:
         left, length = self.travel()
-        self._move_handle(self._active, (x - self._grip_px - left) / length)
+        self._move_handle((x - self._grip_px - left) / length)
 
     def _step(self, steps: int) -> None:
         position = round(self._scale.fraction(self._values[self._active]) * self._scale.positions) + steps
-        self._move_handle(self._active, position / self._scale.positions)
+        self._move_handle(position / self._scale.positions)
 
-    def _move_handle(self, handle: int, fraction: float) -> None:
-        positions = self._scale.positions
+    def _move_handle(self, fraction: float) -> None:
+        handle, positions = self._active, self._scale.positions
         now = self._scale.fraction(self._values[handle])
         if round(min(max(fraction, 0.0), 1.0) * positions) == round(now * positions):
             return  # a value between two positions stays exactly what it is
@@ -205,9 +205,7 @@ class Slider(QWidget):
             else:
                 fraction = max(fraction, self._scale.fraction(self._values[0]) + self._gap)
         value = self._scale.value(fraction)
-        self._take(tuple(value if number == handle else kept for number, kept in enumerate(self._values)))
-
-    def _take(self, values: Values) -> None:
+        values = tuple(value if number == handle else kept for number, kept in enumerate(self._values))
         if values != self._values:
             self._values = values
             self.update()
