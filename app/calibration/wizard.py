@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QToolButton, 
 from ...core.calibration.check import compare_alignments, is_worse
 from ...core.calibration.points import read_points, write_points
 from ...core.calibration.report import CalibrationReport, grade
-from ...core.errors import TactuneError, counted
+from ...core.errors import counted
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import NoteLabel, action_button, choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
@@ -262,22 +262,15 @@ class CalibrationWizard(QDialog):
     # Files
 
     def import_points(self, path: Path) -> None:
-        try:
-            points = read_points(path)
-        except TactuneError as error:
-            self.messages.show_message("file", Severity.ERROR, str(error))
-            return
-        pairs = with_depth(points, self.session.state, self.session.rig, origin=path.name)
-        self.session.add_pairs(pairs, f"Import {len(pairs)} pairs")
-        self.messages.show_message("file", Severity.INFO, f"{len(pairs)} pairs were read from {path}.")
+        with self.messages.telling("file"):
+            pairs = with_depth(read_points(path), self.session.state, self.session.rig, origin=path.name)
+            self.session.add_pairs(pairs, f"Import {len(pairs)} pairs")
+            self.messages.show_message("file", Severity.INFO, f"{len(pairs)} pairs were read from {path}.")
 
     def export_points(self, path: Path) -> None:
-        try:
+        with self.messages.telling("file"):
             write_points(path, self.session.state.complete_pairs)
-        except TactuneError as error:
-            self.messages.show_message("file", Severity.ERROR, str(error))
-            return
-        self.messages.show_message("file", Severity.INFO, f"The pairs were written to {path}.")
+            self.messages.show_message("file", Severity.INFO, f"The pairs were written to {path}.")
 
     def save_preset(self) -> None:
         """Put the alignment into the preset and save its file; ask first if it is worse than the present one."""
@@ -302,15 +295,10 @@ class CalibrationWizard(QDialog):
 
     def _save(self, report: CalibrationReport) -> None:
         """Put the alignment and its record into the document, as one undoable step, and save the file."""
-        try:
-            values = report_changes(report, self._document.preset, self.session.state.snapshots)
-        except TactuneError as error:
-            self.messages.show_message("saved", Severity.ERROR, str(error))
-            return
-        if not self._document.edit_many(values):
-            return
-        self._saved = True
-        self._save_file()
+        with self.messages.telling("saved"):
+            if self._document.edit_many(report_changes(report, self._document.preset, self.session.state.snapshots)):
+                self._saved = True
+                self._save_file()
 
     def _save_file(self) -> None:
         self._context.saveRequested.emit()

@@ -12,18 +12,16 @@ import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QButtonGroup, QComboBox, QGridLayout, QLabel, QSizePolicy, QWidget
 
-from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import NoteLabel, caption, choice_button, heading, named, push_button
 from ...widgets.basics.layouts import hbox, vbox
-from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
 from ..context import TASK, Context
 from ..document.comparison import PRESENT, Side, Sides, differing_fields, take_over
 from ..document.document import field_title, shown_value
-from ..worker.results import ComparedFrame, Pace
+from ..worker.results import Pace
 from .actions import Actions
 from .files import PRESET_FILTER
 from .frame_presenter import FramePresenter
@@ -126,7 +124,10 @@ class ComparisonPanel(QWidget):
         self.hide()
         self._comparison.changed.connect(self._changed)
         context.frameShown.connect(self._show_numbers)
-        actions.compare.triggered.connect(lambda wanted: self._start() if wanted else self._comparison.end())
+        compared = self._comparison
+        actions.compare.triggered.connect(
+            lambda wanted: compared.show(compared.saved, compared.present) if wanted else compared.end()
+        )
         actions.next_side.triggered.connect(lambda: self.show_mode(_NEXT[self._mode]))
         actions.wipe_left.triggered.connect(lambda: self.move_wipe(self.share - STEP))
         actions.wipe_right.triggered.connect(lambda: self.move_wipe(self.share + STEP))
@@ -184,9 +185,6 @@ class ComparisonPanel(QWidget):
             action.setEnabled(running)
         self._actions.compare.setChecked(running)
 
-    def _start(self) -> None:
-        self._comparison.show(self._comparison.saved, self._comparison.present)
-
     def _changed(self, sides: Sides | None) -> None:
         self._context.worker.set_compared(sides)
         if sides is not None:
@@ -215,12 +213,10 @@ class ComparisonPanel(QWidget):
 
     def _show_numbers(self) -> None:
         result = self._context.result
-        if result is not None and result.compared is not None and self._pace.due(result):
-            self._show_frame(result.compared)
-
-    def _show_frame(self, compared: ComparedFrame) -> None:
-        sides = (compared.a, compared.b)
-        times = compared_times(compared.a.times_ms, compared.b.times_ms)
+        if result is None or result.compared is None or not self._pace.due(result):
+            return
+        sides = (result.compared.a, result.compared.b)
+        times = compared_times(*(side.times_ms for side in sides))
         for column, side in enumerate(sides):
             texts = {"Time": times[column]}
             if side.patch is not None:
@@ -265,12 +261,9 @@ class ComparisonPanel(QWidget):
                 lambda path: self._choose(index, partial(_load, path.name, path)),
             )
             return
-        try:
+        with self._context.messages.telling("comparison", TASK):
             side = make()
-        except TactuneError as error:
-            self._context.messages.show_message("comparison", Severity.ERROR, str(error), subject=TASK)
-            return
-        self._comparison.show(*((sides[0], side) if index else (side, sides[1])))
+            self._comparison.show(*((sides[0], side) if index else (side, sides[1])))
 
 
 def compared_times(a_ms: Sequence[float], b_ms: Sequence[float]) -> tuple[str, str]:

@@ -9,7 +9,6 @@ from typing import Any, Final
 from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QApplication
 
-from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
@@ -113,12 +112,8 @@ class FileFlows(QObject):
         if len(paths) == 1 and first.suffix.lower() == ".json" and first.is_file():
             self.open_preset(first)
             return
-        try:
-            name = recording_name(paths)
-        except SourceError as error:
-            self._messages.show_message("file", Severity.ERROR, str(error))
-            return
-        self._context.sourceRequested.emit(name)
+        with self._messages.telling("file"):
+            self._context.sourceRequested.emit(recording_name(paths))
 
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed, newest first, one piece after the other."""
@@ -157,8 +152,13 @@ class FileFlows(QObject):
             self._settings.remove_recent("presets", str(path))
 
     def _write_preset(self, path: Path, then: Callable[[], object] | None) -> None:
+        """Save, with the rig of the frames if the preset has none, and with the file's name if it is another file."""
         elsewhere, captured = path != self._document.path, self._document.baseline.untouched
-        self._complete(path)
+        missing: dict[str, Any] = {"name": path.stem[:120] or "untitled"} if elsewhere else {}
+        if self._document.preset.rig is None and (result := self._context.result) is not None:
+            missing["rig"] = result.source.rig.model_dump(mode="json")
+        if missing:
+            self._document.edit_many(missing)
         if not self._told(lambda: self._document.save(path)):
             return
         record = self._document.preset.untouched
@@ -176,25 +176,12 @@ class FileFlows(QObject):
         self._dialogs.remember("preset", path.parent)
         self._settings.add_recent("presets", str(path))
 
-    def _complete(self, path: Path) -> None:
-        """Before a preset is saved, set its rig if that is missing, and its name if the file is another one."""
-        preset, result = self._document.preset, self._context.result
-        missing: dict[str, Any] = {}
-        if path != self._document.path:
-            missing["name"] = path.stem[:120] or "untitled"
-        if preset.rig is None and result is not None:
-            missing["rig"] = result.source.rig.model_dump(mode="json")
-        if missing:
-            self._document.edit_many(missing)
-
     def _told(self, action: Callable[[], None]) -> bool:
         """Return whether a file action succeeded; an error becomes a message."""
-        try:
+        with self._messages.telling("file", TASK):
             action()
-        except TactuneError as error:
-            self._messages.show_message("file", Severity.ERROR, str(error), subject=TASK)
-            return False
-        return True
+            return True
+        return False
 
 
 def file_name(name: str) -> str:

@@ -151,7 +151,11 @@ class FramePresenter(QObject):
                 self._panel.show_masked_share(strip.masked_share)
             self._show_readout()
             self._transport.show_state(result.playback)
-        self._show_problem(result)
+        # once, unless the patch view says it; a dismissed problem comes back only after a change
+        problem = result.problem if self._views.views[CloudName.PATCH].isHidden() else ""
+        if problem != self._shown_problem:
+            self._shown_problem = problem
+            self._messages.state("problem", Severity.ERROR, problem, SOURCE)
 
     def set_wipe_share(self, share: float) -> None:
         """Move the wipe between two compared presets: 1 shows only A, 0 only B."""
@@ -166,13 +170,6 @@ class FramePresenter(QObject):
         if compared is None:
             return None
         return Wipe(self._share, f"A: {compared.a.side.name}", f"B: {compared.b.side.name}")
-
-    def _show_problem(self, result: Result) -> None:
-        """Show a problem once, unless the patch view says it; a dismissed one comes back only after a change."""
-        problem = result.problem if self._views.views[CloudName.PATCH].isHidden() else ""
-        if problem != self._shown_problem:
-            self._shown_problem = problem
-            self._messages.state("problem", Severity.ERROR, problem, SOURCE)
 
     def _hovered(self, u: int, v: int) -> None:
         self._pixel = u, v

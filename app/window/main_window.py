@@ -193,7 +193,6 @@ class MainWindow(QMainWindow):
         self._connect_worker()
         self._connect_views()
         self._connect_actions()
-        self._connect_timeline()
 
     def _connect_document(self) -> None:
         document, panel = self.document, self.panel
@@ -226,6 +225,11 @@ class MainWindow(QMainWindow):
         worker.stateChanged.connect(self.presenter.show_state)
         transport.position.valueChanged.connect(worker.seek)
         self.opening.cancel.clicked.connect(worker.cancel_open)
+        for name in ("mark_in", "mark_out", "clear_marks"):
+            action, act = self.actions_.by_name()[name], getattr(self.timeline, name)
+            action.triggered.connect(lambda _, act=act: act())
+            self.timeline.availableChanged.connect(action.setEnabled)
+            action.setEnabled(False)
 
     def _connect_views(self) -> None:
         self.views.wantedChanged.connect(self._send_wanted)
@@ -242,7 +246,7 @@ class MainWindow(QMainWindow):
 
     def _connect_actions(self) -> None:
         actions, worker, flows = self.actions_, self.worker, self.file_flows
-        actions.play.triggered.connect(self._play_or_pause)
+        actions.play.triggered.connect(lambda: worker.pause() if self.transport.state.playing else worker.play())
         actions.previous.triggered.connect(lambda: worker.step(-1))
         actions.next.triggered.connect(lambda: worker.step(1))
         actions.first.triggered.connect(lambda: worker.seek(0))
@@ -284,17 +288,6 @@ class MainWindow(QMainWindow):
         fill_on_opening(
             menus.recent_presets, partial(self.settings.recent, "presets"), lambda path: flows.open_preset(Path(path))
         )
-
-    def _connect_timeline(self) -> None:
-        actions, timeline = self.actions_, self.timeline
-        for action, act in (
-            (actions.mark_in, timeline.mark_in),
-            (actions.mark_out, timeline.mark_out),
-            (actions.clear_marks, timeline.clear_marks),
-        ):
-            action.triggered.connect(lambda _, act=act: act())
-            timeline.availableChanged.connect(action.setEnabled)
-            action.setEnabled(False)
 
     def open_source(self, name: str) -> None:
         """Open a source by its name, after its topics were asked for if it is a recording of another program."""
@@ -339,10 +332,8 @@ class MainWindow(QMainWindow):
         self.opening.hide()
         self._enable_measuring(True)
         two = info.rig.has_proximity  # else what needs two cameras is hidden or disabled
-        self.views.set_two_cameras(two)
-        self.strip.set_two_cameras(two)
-        self.panel.set_two_cameras(two)
-        self.actions_.set_two_cameras(two)
+        for part in (self.views, self.strip, self.panel, self.actions_):
+            part.set_two_cameras(two)
         self.settings.add_recent(RECENT, info.name)
         self.mode_bar.show_source(info)
         self.file_flows.offer_preset(info.preset)
@@ -401,9 +392,6 @@ class MainWindow(QMainWindow):
         self.actions_.show_panel.setChecked(True)
         self.actions_.run.trigger()
         self.publishing.panel.foxglove.setFocus(Qt.FocusReason.ShortcutFocusReason)
-
-    def _play_or_pause(self) -> None:
-        (self.worker.pause if self.transport.state.playing else self.worker.play)()
 
     def _show_document(self) -> None:
         preset = self.document.preset
@@ -468,8 +456,7 @@ class MainWindow(QMainWindow):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            undo = (self.messages.dismiss_newest, self.views.back)
-            if not any(step() for step in undo):
+            if not (self.messages.dismiss_newest() or self.views.back()):
                 self.context.comparison.end()
             return
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSpinBox, QWid
 from ...core.errors import counted
 from ...widgets.basics.controls import action_button, named
 from ...widgets.basics.icons import icon
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import hbox
 from ..worker.playback import PlaybackState
 from ..worker.results import SourceInfo
 from .actions import Actions
@@ -124,8 +124,8 @@ class ModeBar(QWidget):
         self.source.clicked.connect(actions.open_source.trigger)
         self.preset.setMenu(preset_menu)
         modes = [action_button(actions.by_name()[mode.value], "mode", with_text=True) for mode in Mode]
-        row = hbox(*modes, 16, (search, 1), 16, self.source, self.preset, margins=(8, 4, 8, 4), spacing=4)
-        vbox(row, within=self, margins=0)
+        names = 16, self.source, self.preset
+        hbox(*modes, 16, (search, 1), *names, within=self, margins=(8, 4, 8, 4), spacing=4)
         self.show_source(None)
 
     def show_source(self, info: SourceInfo | None) -> None:

@@ -28,6 +28,7 @@ from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import CloudView, link_cameras
+from ...widgets.clouds.view_camera import VIEWPOINTS
 from ...widgets.images.image_strip import ImageStrip
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
@@ -70,11 +71,7 @@ class ViewArea(QWidget):
         patch = self.views[CloudName.PATCH]
         patch.help = _READINGS_TIP + patch.help
         self.strip = strip
-        self.toggles = {
-            CloudName.PROXIMITY: actions.show_proximity,
-            CloudName.TACTILE: actions.show_tactile,
-            CloudName.PATCH: actions.show_patch,
-        }
+        self.toggles = {name: actions.by_name()[f"show_{name}"] for name in CloudName}
         self._actions = actions
         self._result: Result | None = None
         self._framed: SourceInfo | None = None
@@ -103,12 +100,8 @@ class ViewArea(QWidget):
             view.enlargeRequested.connect(partial(self.enlarge, view))
         for pane in strip.panes.values():
             pane.doubleClicked.connect(partial(self.enlarge, pane))
-        for action, viewpoint in (
-            (actions.reset_view, "reset"),
-            (actions.front_view, "front"),
-            (actions.top_view, "top"),
-            (actions.side_view, "side"),
-        ):
+        for viewpoint in VIEWPOINTS:
+            action = actions.by_name()[f"{viewpoint}_view"]
             action.triggered.connect(lambda _, viewpoint=viewpoint: self._any_view().look_from(viewpoint))
         actions.zoom_to_patch.triggered.connect(self._zoom_to_patch)
         actions.zoom_to_patch.setEnabled(False)
@@ -118,16 +111,17 @@ class ViewArea(QWidget):
     def _lay_out(self) -> None:
         self._choices = QWidget()
         color_by, point_size = caption("&Colour", self.color_by), caption("Si&ze", self.point_size)
-        row = hbox(*(color_by, self.color_by, 8, point_size, self.point_size, STRETCH), margins=(4, 0, 4, 0), spacing=4)
-        vbox(row, within=self._choices, margins=0)
-        cameras = self.views[CloudName.PROXIMITY], self.views[CloudName.TACTILE]
+        choices = hbox(
+            color_by, self.color_by, 8, point_size, self.point_size, STRETCH, within=self._choices, spacing=4
+        )
+        choices.setContentsMargins(4, 0, 4, 0)
+        *cameras, patch = self.views.values()
         self._cameras = splitter(Qt.Orientation.Horizontal, *((view, 1) for view in cameras))
         self._side = QWidget()
         self._rows = splitter(Qt.Orientation.Vertical, (self._cameras, 1), (self.strip, 1))
         vbox(self._choices, (self._rows, 1), within=self._side, margins=0, spacing=4)
-        self._across = splitter(Qt.Orientation.Horizontal, (self._side, 1), (self.views[CloudName.PATCH], 1))
+        self._across = splitter(Qt.Orientation.Horizontal, (self._side, 1), (patch, 1))
         vbox(self._across, within=self, margins=0)
-        patch = self.views[CloudName.PATCH]
         of_cameras = [(self._cameras, number, view) for number, view in enumerate(cameras)]
         #: Where each part stands while the patch is the large one.
         self._places = [*of_cameras, (self._rows, 1, self.strip), (self._across, 1, patch)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from html import escape
 
@@ -18,7 +19,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import as_sentence
+from ...core.errors import TactuneError, as_sentence
 from .controls import push_button, shortened, timer, tool_button, wrapped_label
 from .layouts import STRETCH, hbox, vbox
 
@@ -174,6 +175,14 @@ class Messages(QWidget):
             self.show_message(key, severity, sentence, subject=subject)
         else:
             self.clear(key)
+
+    @contextmanager
+    def telling(self, key: str, subject: str = "") -> Iterator[None]:
+        """Show the message of a `TactuneError` that ends the block."""
+        try:
+            yield
+        except TactuneError as error:
+            self.show_message(key, Severity.ERROR, str(error), subject=subject)
 
     def clear(self, key: str) -> None:
         self._remove(key)

@@ -16,7 +16,7 @@ Viewpoint = Literal["reset", "front", "top", "side"]
 Place = tuple[float, float, float]
 
 #: Azimuth and elevation of the named viewpoints, radians.
-VIEWPOINTS: dict[str, tuple[float, float]] = {
+VIEWPOINTS: dict[Viewpoint, tuple[float, float]] = {
     "reset": (radians(-28.0), radians(24.0)),
     "front": (0.0, 0.0),
     "top": (0.0, pi / 2),
