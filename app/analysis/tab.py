@@ -68,9 +68,11 @@ class LiveTab(AnalysisTab):
         self.result: Result | None = None
         #: The rows of the source's frames by frame number, the newest last.
         self.rows: dict[int, Row] = {}
+        self.messages = Messages(self)
         self.job = Job(self, self._done, partial(self._complain, "work"))
-        self._writing = Job(self, self._tell_written, partial(self._complain, "export"))
-        self.status, self.messages, self.working = ElidedLabel(WAITING), Messages(self), JobRow(self.job)
+        tell = partial(self.messages.show_message, "done", Severity.INFO)
+        self._writing = Job(self, tell, partial(self._complain, "export"))
+        self.status, self.working = ElidedLabel(WAITING), JobRow(self.job)
         self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E)")
         self.export.setShortcut("Ctrl+E")
         self.export.clicked.connect(self._ask_where)
@@ -153,9 +155,6 @@ class LiveTab(AnalysisTab):
             return f"The numbers were written to {path}."
 
         self._writing.start(write)
-
-    def _tell_written(self, sentence: str) -> None:
-        self.messages.show_message("done", Severity.INFO, sentence)
 
     def _complain(self, key: str, sentence: str) -> None:
         if sentence:

@@ -52,6 +52,9 @@ class TiltTab(LiveTab):
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch = (wrapped_label(verdict=True, selectable=True) for _ in range(2))
         self.axis = wrapped_label(selectable=True)
+        self.roll.setToolTip("Angle about the camera's x axis: positive where the image's lower edge is farther")
+        self.pitch.setToolTip("Angle about the camera's y axis: positive where the image's right edge is nearer")
+        self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
         self.plot = named(
             Plot("Time, s", "Angle, degrees", movable=True),
             "Roll and pitch over time",
@@ -62,7 +65,9 @@ class TiltTab(LiveTab):
         self.plot.add_legend(2)
         self._curves = [self._curve("roll", _ROLL_RGB), self._curve("pitch", _PITCH_RGB)]
         self.plot.follow_theme()
-        self._lay_out()
+        side = QWidget()
+        vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
+        self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
         self.cloud.set_message(self.status.text())
 
     def _curve(self, name: str, rgb: tuple[int, int, int]) -> tuple[pg.PlotDataItem, list[pg.PlotCurveItem]]:
@@ -71,14 +76,6 @@ class TiltTab(LiveTab):
         for item in (*ends, pg.FillBetweenItem(*ends, brush=pg.mkBrush(*rgb, 60))):
             self.plot.addItem(item)
         return self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), connect="finite"), ends
-
-    def _lay_out(self) -> None:
-        self.roll.setToolTip("Angle about the camera's x axis: positive where the image's lower edge is farther")
-        self.pitch.setToolTip("Angle about the camera's y axis: positive where the image's right edge is nearer")
-        self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
-        side = QWidget()
-        vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
-        self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
 
     # Frames
 

@@ -132,7 +132,7 @@ class TrackTab(LiveTab):
         self.model: Model | None = None
         self.tracked: Tracked | None = None
         self._tracker: FrameTracker | None = None
-        self._loading = Job(self, self._opened, self._tell_loading)
+        self._loading = Job(self, self._opened, partial(self.messages.state, "mesh", Severity.WARNING))
         self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
         self.track_button = choice_button(
@@ -140,8 +140,19 @@ class TrackTab(LiveTab):
         )
         self.guide = wrapped_label(verdict=True)
         self.scene = CloudView("Patch and model")
+        self.scene.set_point_size(2)
+        self.scene.set_message("No patch yet: show a frame with contact in the main window")
         self.pose = QLabel()
-        self._lay_out()
+        self.pose.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.pose.setToolTip(
+            "Position of the mesh's origin and rotation about the camera's axes, each with its standard deviation; "
+            "red: the patch does not determine it"
+        )
+        self.simulated.hide()
+        self.top.addLayout(hbox(self.open_button, self.simulated, self.track_button, STRETCH))
+        side = QWidget()
+        vbox(self.guide, self.pose, JobRow(self._loading), STRETCH, within=side, margins=0)
+        self.column.addWidget(splitter(Qt.Orientation.Horizontal, (self.scene, 1), side, sizes=(600, 340)))
         self.open_button.clicked.connect(self._ask_mesh)
         self.simulated.clicked.connect(self._open_simulated)
         self.track_button.toggled.connect(self._toggled)
@@ -150,21 +161,6 @@ class TrackTab(LiveTab):
         self._loading.busyChanged.connect(lambda _: self._show())
         THEME.changed.connect(self._show)
         self._show()
-
-    def _lay_out(self) -> None:
-        self.simulated.hide()
-        self.pose.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.pose.setToolTip(
-            "Position of the mesh's origin and rotation about the camera's axes, each with its standard deviation; "
-            "red: the patch does not determine it"
-        )
-        self.scene.set_point_size(2)
-        self.scene.set_message("No patch yet: show a frame with contact in the main window")
-        entries = (self.open_button, self.simulated, self.track_button)
-        self.top.addLayout(hbox(*entries, STRETCH))
-        side = QWidget()
-        vbox(self.guide, self.pose, JobRow(self._loading), STRETCH, within=side, margins=0)
-        self.column.addWidget(splitter(Qt.Orientation.Horizontal, (self.scene, 1), side, sizes=(600, 340)))
 
     @property
     def goes_on(self) -> bool:
@@ -196,9 +192,6 @@ class TrackTab(LiveTab):
         self.model = model
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
         self._show()
-
-    def _tell_loading(self, failure: str) -> None:
-        self.messages.state("mesh", Severity.WARNING, failure)
 
     # Tracking
 

@@ -31,7 +31,7 @@ class CheckPage(QWidget):
         self._outcome = Outcome()
         self._images: tuple[Uint8Array, Uint8Array] | None = None
         self._drawn: tuple[object, ...] = ()
-        self.job = Job(self)
+        self.job = Job(self, self._show_overlay, self._show_none)
         self.image = PointImage("Proximity image over tactile image", magnifies=False)
         self.errors = wrapped_label()
         self.errors.setToolTip("Over the membrane; both alignments are compared at pairs left out of their fits")
@@ -49,8 +49,6 @@ class CheckPage(QWidget):
         vbox(tools, (self.image, 1), self.errors, within=self, margins=(8, 8, 8, 4))
         self.which.idClicked.connect(self._draw)
         self.share.valueChanged.connect(lambda _: self._compose())
-        self.job.done.connect(self._show_overlay)
-        self.job.failed.connect(self._show_none)
         session.changed.connect(self._draw)
         document.presetChanged.connect(self._draw)
         self.setFocusProxy(self.share)

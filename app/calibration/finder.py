@@ -95,7 +95,7 @@ class Finder(QWidget):
         self._searched: tuple[str, ...] = ()
         self._pairs = 0  # how many there were when the words were said
         gestures = GestureClock()
-        self.job = Job(self)
+        self.job = Job(self, self._found, self._failed)
         self.search = push_button(
             "Find &points", "Find points automatically in all snapshots and add them as pairs (Ctrl+F)", "Ctrl+F"
         )
@@ -120,8 +120,6 @@ class Finder(QWidget):
         )
         self.rows.valueChanged.connect(lambda count: session.choose("Rows of the board", gestures.number(), rows=count))
         session.changed.connect(self._show_state)
-        self.job.done.connect(self._found)
-        self.job.failed.connect(self._failed)
         self.job.busyChanged.connect(self._show_busy)
         self._show_state(session.state)
 

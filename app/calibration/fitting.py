@@ -78,9 +78,7 @@ class Fitter(QObject):
         super().__init__(parent)
         self._session = session
         self._asked: tuple[object, ...] = ()
-        self.job = Job(self)
-        self.job.done.connect(self.fitted)
-        self.job.failed.connect(lambda sentence: self.fitted.emit(Outcome(problem=sentence)))
+        self.job = Job(self, self.fitted.emit, lambda sentence: self.fitted.emit(Outcome(problem=sentence)))
         session.changed.connect(self.refit)
 
     def refit(self) -> None:

@@ -14,7 +14,6 @@ from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
 from ...core.model.alignment import PointPair
 from ...core.model.files import atomic_path
-from ...core.model.frames import SensorFrame
 from ...core.model.loading import frame_bytes, frame_from_bytes, read_file
 from ..document.recovery import KeptState, lock_of, write_json
 from .session import Choices, Session, SessionState, Snapshot, renumbered, rig_key
@@ -96,7 +95,10 @@ class Keeper(KeptState[SessionState]):
         self._missing = []
         for entry in content["snapshots"]:
             try:
-                frame = _read_images(_images_file(self.folder, entry["digest"]))
+                images = _images_file(self.folder, entry["digest"])
+                frame = frame_from_bytes(read_file(images))
+                if images != _images_file(self.folder, content_hash(frame)):
+                    raise ValueError(f"{images} has been changed")
                 frame.check_against(self._session.rig)
             except (OSError, ValueError, TypeError, TactuneError):  # missing, damaged or of another rig
                 self._missing.append(entry["name"])
@@ -116,10 +118,3 @@ class Keeper(KeptState[SessionState]):
 
 def _images_file(folder: Path, digest: str) -> Path:
     return folder / f"snapshot-{digest[:24]}.npz"
-
-
-def _read_images(path: Path) -> SensorFrame:
-    frame = frame_from_bytes(read_file(path))
-    if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
-        raise ValueError(f"{path} has been changed")
-    return frame

@@ -65,12 +65,10 @@ class MeasuringStep(QWidget):
         self._return_to: int | None = None
         self._counted, self._last_s = 0, 0.0
         self._timer = timer(self, _TICK_MS, self._look)
-        self._job = Job(self)
+        self._job = Job(self, self._done, self._fail)
         self._job.progress.connect(
             lambda share, words: self.progress.show_share(_GATHERED + (1 - _GATHERED) * share, words)
         )
-        self._job.done.connect(self._done)
-        self._job.failed.connect(self._fail)
         self._takingFailed.connect(self._give_up)
         self.start.clicked.connect(self.begin)
         self.cancel.clicked.connect(self.stop)

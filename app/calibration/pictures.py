@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ...core.model.alignment import Side
-from ...core.model.arrays import Float32Array, Float64Array, Uint8Array
+from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.colormaps import depth_lut
@@ -28,11 +28,21 @@ def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice) -> Pi
     """Return the image of one side with its contrast stretched: depth also where it has no colour."""
     color = frame.proximity_color if side == "proximity" else frame.tactile_color
     if choice == "color" and color is not None:
-        return _color_picture(color)
+        gray = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY)
+        low, high = np.percentile(gray[::4, ::4], (0.5, 99.5))
+        scale = 255.0 / max(high - low, 1.0)
+        shown = cv2.convertScaleAbs(np.maximum(color, np.uint8(low)), alpha=scale, beta=-low * scale)
+        return Picture(pack_rgb(np.asarray(shown)), np.asarray(gray, dtype=np.uint8))
     counts = frame.proximity_depth if side == "proximity" else frame.tactile_depth
     camera = rig.proximity if side == "proximity" else rig.tactile
-    depth_m = np.where(valid_depth(counts), counts * np.float32(camera.depth_unit_m), np.float32(np.nan))
-    return _depth_picture(depth_m)
+    valid = valid_depth(counts)
+    depth_m = np.where(valid, counts * np.float32(camera.depth_unit_m), np.float32(0.0))
+    sample = depth_m[::3, ::3][valid[::3, ::3]]
+    low, high = np.percentile(sample, (1.0, 99.0)) if len(sample) else (0.0, 1.0)
+    rows = np.clip((depth_m - low) * (255.0 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
+    rgb = depth_lut()[rows, :3]
+    rgb[~valid] = NO_VALUE_RGB
+    return Picture(pack_rgb(rgb), np.where(valid, rows, np.uint8(0)).astype(np.uint8))
 
 
 def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
@@ -46,21 +56,3 @@ def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
 def pack_rgb(rgb: Uint8Array) -> Uint8Array:
     """Convert RGB (H, W, 3) to the memory layout of ``QImage.Format_RGB32``, (H, W, 4)."""
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGRA), dtype=np.uint8)
-
-
-def _color_picture(color: Uint8Array) -> Picture:
-    gray = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY)
-    low, high = np.percentile(gray[::4, ::4], (0.5, 99.5))
-    scale = 255.0 / max(high - low, 1.0)
-    shown = cv2.convertScaleAbs(np.maximum(color, np.uint8(low)), alpha=scale, beta=-low * scale)
-    return Picture(pack_rgb(np.asarray(shown)), np.asarray(gray, dtype=np.uint8))
-
-
-def _depth_picture(depth_m: Float32Array) -> Picture:
-    valid = np.isfinite(depth_m)
-    sample = depth_m[::3, ::3][valid[::3, ::3]]
-    low, high = np.percentile(sample, (1.0, 99.0)) if len(sample) else (0.0, 1.0)
-    rows = np.clip((np.nan_to_num(depth_m) - low) * (255.0 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
-    rgb = depth_lut()[rows, :3]
-    rgb[~valid] = NO_VALUE_RGB
-    return Picture(pack_rgb(rgb), np.where(valid, rows, np.uint8(0)).astype(np.uint8))

@@ -80,7 +80,7 @@ class QualityPage(QWidget):
         self._session = session
         self._outcome = Outcome()
         self._drawn: tuple[object, ...] = ()
-        self.job = Job(self)
+        self.job = Job(self, self._show_map, self._show_no_map)
         self.map = PointImage("Expected alignment error, one standard deviation", magnifies=False)
         self.grade, self.why, self.step = wrapped_label(verdict=True), wrapped_label(), wrapped_label()
         self.step.setFont(text_font("body", bold=True))
@@ -103,8 +103,6 @@ class QualityPage(QWidget):
         self.model.activated.connect(
             lambda _: session.choose(f"Model: {self.model.currentText()}", model=self.model.currentData())
         )
-        self.job.done.connect(self._show_map)
-        self.job.failed.connect(self._show_no_map)
         session.changed.connect(self._show_state)
         session.selectionChanged.connect(lambda _: self._show_marks())
         self.map.pressed.connect(lambda name, _: session.select([name]))
@@ -121,7 +119,16 @@ class QualityPage(QWidget):
             for label in (self.why, self.reason, self.offset, self.residual, self.warnings):
                 label.setText("")
         else:
-            self._show_report(report)
+            quality, judged = report.chosen, grade(report.chosen)
+            word, _, why = judged.partition(": ")
+            self.grade.setText(word)
+            self.why.setText(why[:1].upper() + why[1:])
+            self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
+            self.reason.setText(report.reason)
+            self.offset.setText("" if report.depth_offset is None else report.depth_offset.words())
+            exact = "exact fit, not informative"
+            self.residual.setText(f"Residual, RMS: {exact if quality.rms_px is None else f'{quality.rms_px:.2f} px'}")
+            self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
         for label in (self.why, self.reason, self.offset, self.residual, self.warnings):
             label.setVisible(bool(label.text()))
         self._draw()
@@ -133,19 +140,6 @@ class QualityPage(QWidget):
     def _show_state(self, state: SessionState) -> None:
         self.model.setCurrentIndex(self.model.findData(state.choices.model))
         self._draw()
-
-    def _show_report(self, report: CalibrationReport) -> None:
-        quality = report.chosen
-        judged = grade(quality)
-        word, _, why = judged.partition(": ")
-        self.grade.setText(word)
-        self.why.setText(why[:1].upper() + why[1:])
-        self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
-        self.reason.setText(report.reason)
-        self.offset.setText("" if report.depth_offset is None else report.depth_offset.words())
-        exact = "exact fit, not informative"
-        self.residual.setText(f"Residual, RMS: {exact if quality.rms_px is None else f'{quality.rms_px:.2f} px'}")
-        self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
 
     def _draw(self) -> None:
         report, snapshot = self._outcome.report, self._session.state.snapshot

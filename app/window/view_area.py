@@ -111,10 +111,8 @@ class ViewArea(QWidget):
     def _lay_out(self) -> None:
         self._choices = QWidget()
         color_by, point_size = caption("&Colour", self.color_by), caption("Si&ze", self.point_size)
-        choices = hbox(
-            color_by, self.color_by, 8, point_size, self.point_size, STRETCH, within=self._choices, spacing=4
-        )
-        choices.setContentsMargins(4, 0, 4, 0)
+        row = hbox(*(color_by, self.color_by, 8, point_size, self.point_size, STRETCH), margins=(4, 0, 4, 0), spacing=4)
+        vbox(row, within=self._choices, margins=0)
         *cameras, patch = self.views.values()
         self._cameras = splitter(Qt.Orientation.Horizontal, *((view, 1) for view in cameras))
         self._side = QWidget()
