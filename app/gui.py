@@ -15,6 +15,7 @@ from PyQt6.QtWidgets import QApplication
 from ..core.errors import ExportError, TactuneError
 from ..core.model.files import atomic_path
 from ..core.sources.presets import default_preset, load_preset
+from ..widgets.basics.controls import timer
 from ..widgets.basics.icons import app_icon
 from ..widgets.basics.messages import Severity
 from ..widgets.basics.style import use_style
@@ -48,7 +49,13 @@ def run_gui(source: str | None, preset: str | None, screenshot: Path | None, aft
         status = application.exec()
     if picture is not None and picture.problem:
         raise ExportError(picture.problem)
-    return _ended(status)
+    # The interpreter's own exit can hang in a thread that computes, and it may destroy Qt's objects in an order that
+    # crashes where a signal has ended the window: then the process ends here.
+    if not wait_for_abandoned(MAX_WAIT_S) or status > 128:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 def show_window(
@@ -78,19 +85,6 @@ def show_window(
     return window, name
 
 
-def _ended(status: int) -> int:
-    """Return the exit status after abandoned threads have ended; else, or after a signal, end the process here.
-
-    The interpreter's own exit can hang in a thread that computes, and it may destroy Qt's objects in an order that
-    crashes where a signal has ended the window.
-    """
-    if not wait_for_abandoned(MAX_WAIT_S) or status > 128:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
-    return status
-
-
 def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
     """End the window on SIGINT and SIGTERM; unsaved work is kept and offered at the next start."""
 
@@ -110,9 +104,7 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
     for sent in ends:
         signal.signal(sent, begin)
     # Python handles a signal only while Python code runs, and an idle window runs none.
-    wake = QTimer(window)
-    wake.timeout.connect(lambda: None)
-    wake.start(WAKE_MS)
+    timer(window, WAKE_MS, lambda: None).start()
 
 
 def make_application() -> QApplication:
@@ -135,10 +127,8 @@ class _Screenshot(QObject):
         super().__init__(window)
         self.problem = ""
         self._window, self._path, self._after = window, path, after
-        self._patience = QTimer(self)
-        self._patience.setSingleShot(True)
-        self._patience.setInterval(MAX_WAIT_MS)
-        self._patience.timeout.connect(lambda: self._give_up(f"no {after} frames within {MAX_WAIT_MS // 1000} s"))
+        late = partial(self._give_up, f"no {after} frames within {MAX_WAIT_MS // 1000} s")
+        self._patience = timer(self, MAX_WAIT_MS, late, once=True)
         window.context.frameShown.connect(self._frame_shown)
         window.worker.opened.connect(lambda _: self._patience.start())
         window.worker.openFailed.connect(lambda _, sentence: self._give_up(sentence))

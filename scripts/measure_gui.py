@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from PyQt6.QtCore import QObject, Qt, QTimer
+from PyQt6.QtCore import QObject, Qt
 
 from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import FrameReader
 from tactune.core.sources.presets import default_preset, load_preset
+from tactune.widgets.basics.controls import timer
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 10
@@ -46,10 +47,8 @@ class Meter(QObject):
         self.points: list[int] = []
         self.stages: dict[str, list[float]] = defaultdict(list)
         self.gaps_ms: list[float] = []
-        self._heart = QTimer(self)
+        self._heart = timer(self, HEARTBEAT_MS, self._beat)
         self._heart.setTimerType(Qt.TimerType.PreciseTimer)
-        self._heart.setInterval(HEARTBEAT_MS)
-        self._heart.timeout.connect(self._beat)
         window.context.frameShown.connect(self._frame_shown)
 
     def read(self, reader: FrameReader, index: int) -> object:

@@ -120,20 +120,13 @@ class SuggestWindow(QDialog):
         self.apply.setDefault(True)
         self.undo = push_button("&Undo", "Take the applied suggestions back (Ctrl+Z)", "Ctrl+Z")
         self.leave = push_button("&Close", "Close this window; the preset stays as it is (Esc)")
-        self._lay_out()
-        self._connect()
-
-    def _lay_out(self) -> None:
         content = QWidget()
         self._parts = vbox()
         vbox(self._parts, STRETCH, within=content, margins=0)
-        scroll = scrolling(content)
         tools = hbox(self.again, (self.working, 1))
         row = hbox(self.compare, self.undo, STRETCH, self.apply, self.leave)
-        vbox(self.sentence, (scroll, 1), tools, row, within=self)
+        vbox(self.sentence, (scrolling(content), 1), tools, row, within=self)
         self.resize(500, 640)
-
-    def _connect(self) -> None:
         self.job.busyChanged.connect(self._show_busy)
         self.working.cancel.clicked.connect(lambda: self._say("Cancelled; nothing was changed."))
         self.again.clicked.connect(lambda: self.ask(self._section))

@@ -50,13 +50,6 @@ class FramesPage(QWidget):
         self.list = named(QListWidget(), "Snapshots", "Click one to see it; points are clicked in the selected one")
         self.list.setSpacing(4)
         self.remove = push_button("Re&move", "Remove the snapshot and the points clicked in it; undo restores both")
-        self._lay_out()
-        self._connect()
-        self.setFocusProxy(self.take)
-        self._show_state(session.state)
-        self._show_frame()
-
-    def _lay_out(self) -> None:
         images = QGridLayout()
         images.setSpacing(4)
         for number, pane in enumerate(self.previews.values()):
@@ -71,10 +64,8 @@ class FramesPage(QWidget):
         vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=self.taken, margins=0)
         self.taken.setFixedWidth(300)
         hbox((left, 1), self.taken, within=self, margins=(8, 8, 8, 4))
-
-    def _connect(self) -> None:
-        session, step = self._session, self.step
-        self._context.frameShown.connect(self._frame_shown)
+        step = self.step
+        context.frameShown.connect(self._frame_shown)
         step.start.pressed.connect(lambda: self._look_at(None))
         step.start.clicked.connect(lambda: self.running.setVisible(step.busy))
         step.ended.connect(self._ended)
@@ -82,6 +73,9 @@ class FramesPage(QWidget):
         self.list.currentRowChanged.connect(self._chosen)
         self.list.itemClicked.connect(lambda _: self._look_at(session.state.snapshot))
         self.remove.clicked.connect(lambda: session.remove_snapshot(session.state.choices.snapshot))
+        self.setFocusProxy(self.take)
+        self._show_state(session.state)
+        self._show_frame()
 
     # Display
 

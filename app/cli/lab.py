@@ -326,11 +326,8 @@ def bench(
         if gate:
             checks = lab_bench.run_gate(_ROUNDS, progress.preparing)
         else:
-            engines = list(lab_bench.ENGINES)
-            rows = lab_bench.compare_engines(list(lab_bench.SCENES), engines, _ROUNDS, progress.preparing)
-    if not gate:
-        say(f"{head}\n\n{lab_bench.rows_text(rows)}")
-        return
-    say("\n".join([head, *map(str, checks)]))
-    if not all(check.holds for check in checks):
+            scenes, engines = list(lab_bench.SCENES), list(lab_bench.ENGINES)
+            rows = lab_bench.compare_engines(scenes, engines, _ROUNDS, progress.preparing)
+    say("\n".join([head, *map(str, checks)]) if gate else f"{head}\n\n{lab_bench.rows_text(rows)}")
+    if gate and not all(check.holds for check in checks):
         raise typer.Exit(1)

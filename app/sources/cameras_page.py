@@ -19,15 +19,11 @@ from .pages import SourcePage
 
 CAMERAS = "cameras:"
 
-_SEARCHING = "Searching for cameras…"
 _NONE = (
     "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
     "run tactune doctor: it reports what is missing and the remedy."
 )
 _ONE = "Only one camera was found. Plug in the other one and press Refresh, or choose none as the proximity camera."
-_WHICH = "Choose the tactile camera."
-_SAME = "The same camera is chosen twice: choose another one for one role."
-_ANY = "by its model"
 _COLUMNS = (
     Column("Model", lambda camera: camera["model"]),
     Column("Serial number", lambda camera: camera["serial"]),
@@ -95,7 +91,7 @@ class CamerasPage(SourcePage):
     def _look(self) -> None:
         self._has_searched = True
         self.refresh.setEnabled(False)
-        self._choose("", _SEARCHING)
+        self._choose("", "Searching for cameras…")
         self._search.start(lambda _: ask_driver())
 
     def _show_answer(self, answer: dict[str, Any]) -> None:
@@ -116,7 +112,7 @@ class CamerasPage(SourcePage):
     def _fill(self, combo: QComboBox, remembered: str, through: bool) -> None:
         """Offer all cameras. Select the one chosen before, else one of a suitable kind."""
         combo.clear()
-        combo.addItem(_ANY, "")
+        combo.addItem("by its model", "")
         if through:
             combo.addItem("none: a tactile camera only", _ALONE)
         for camera in self._found:
@@ -136,11 +132,11 @@ class CamerasPage(SourcePage):
         if not self._found:
             problem = _NONE
         elif alone:
-            problem = "" if second else _WHICH
+            problem = "" if second else "Choose the tactile camera."
         elif len(self._found) == 1:
             problem = _ONE
         elif first and first == second:
-            problem = _SAME
+            problem = "The same camera is chosen twice: choose another one for one role."
         said = problem or ("A rig with a tactile camera only." if alone else f"{len(self._found)} cameras were found.")
         name = f"{CAMERAS}{'' if alone else first},{second}" if first and second else CAMERAS
         self._choose("" if problem else name, f"{said} {as_sentence(self._hint)}" if self._hint else said)

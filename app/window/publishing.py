@@ -103,13 +103,12 @@ class PublishControl(QObject):
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
         self._closed = Event()
-        self.panel = PublishPanel(self._remembered())
-        panel = self.panel
+        panel = self.panel = PublishPanel(self._remembered())
         chosen = panel.foxglove.toggled, panel.ros2.toggled
         for edited in (*chosen, panel.port.valueChanged, panel.domain.valueChanged, panel.namespace.textChanged):
             edited.connect(self._remember)
         self._timer = timer(self, _INTERVAL_MS, self._show)
-        self.panel.start.clicked.connect(self._switch)
+        panel.start.clicked.connect(self._switch)
         # ROS 2 takes most of a second
         self._starting = Job(self, self._started, lambda sentence: panel.show_state(False, sentence, error=True))
 

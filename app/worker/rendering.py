@@ -133,7 +133,6 @@ HISTOGRAM_BINS = 160
 HISTOGRAM_LIMIT = 0.1
 GAP_HISTOGRAM_BINS = 50
 GAP_HISTOGRAM_LIMIT_M = 0.0005
-_IDENTITY = np.eye(4)
 _SAMPLE = 6
 #: Width of the stripes over doubtful contact, with the gap between two, pixels.
 _STRIPE_PX = 6
@@ -382,7 +381,7 @@ def _proximity_cloud(
         depth_unit_m=camera.depth_unit_m,
         rays=ray_table(camera.intrinsics),
         lut=lut,
-        pose=_IDENTITY,
+        pose=np.eye(4),
         index=index,
         depth_range_m=scene.depth_range_m,
         count=count,

@@ -94,7 +94,7 @@ def make_band(qtbot, *, wraps, low=0, high=179, gap=0.0):
 
 
 def place_of(slider, value):
-    present = slider.values()
+    present = slider.values
     slider.blockSignals(True)
     slider.set_values(value, value)
     x = slider.handle_x(0)
@@ -127,7 +127,7 @@ def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value)
     assert not slider.wrapped()
     for places in drags:
         drag_band(slider, *places)
-    assert slider.values() == value
+    assert slider.values == value
     assert slider.wrapped() == (value[0] > value[1])
 
 
@@ -137,21 +137,21 @@ def test_the_keyboard_reaches_both_handles(qtbot):
     slider.setFocus(Qt.FocusReason.TabFocusReason)
     QTest.keyClick(slider, Qt.Key.Key_Right)
     QTest.keyClick(slider, Qt.Key.Key_PageDown)
-    assert slider.values() == (34, 100)
+    assert slider.values == (34, 100)
     assert edits[0][1] == edits[1][1]
     QTest.keyClick(slider, Qt.Key.Key_Tab)
     QTest.keyClick(slider, Qt.Key.Key_Up)
     QTest.keyClick(slider, Qt.Key.Key_PageUp)
-    assert slider.values() == (34, 118)
+    assert slider.values == (34, 118)
     assert edits[2][1] != edits[1][1]
     QTest.keyClick(slider, Qt.Key.Key_End)
-    assert slider.values() == (34, 179)
+    assert slider.values == (34, 179)
     QTest.keyClick(slider, Qt.Key.Key_Tab, Qt.KeyboardModifier.ShiftModifier)
     QTest.keyClick(slider, Qt.Key.Key_Home)
-    assert slider.values() == (0, 179)
+    assert slider.values == (0, 179)
     turn_wheel(slider, QPointF(9, 9), 1)
     slider.clearFocus()
     turn_wheel(slider, QPointF(9, 9), 1)
     slider.setFocus(Qt.FocusReason.BacktabFocusReason)
     turn_wheel(slider, QPointF(9, 9), -1)
-    assert slider.values() == (1, 178)
+    assert slider.values == (1, 178)

@@ -77,7 +77,7 @@ class Slider(QWidget):
         self._scale = scale
         self._wraps = wraps
         self._gap = scale.fraction(scale.low + gap)
-        self._values: Values = (scale.low, scale.high)[:handles]
+        self.values: Values = (scale.low, scale.high)[:handles]
         self._colors: list[QColor] = []
         self._active = 0
         self._grip_px = 0.0  # from the handle's centre to the mouse
@@ -85,12 +85,9 @@ class Slider(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
-    def values(self) -> Values:
-        return self._values
-
     def set_values(self, *values: float) -> None:
-        if values != self._values:
-            self._values = values
+        if values != self.values:
+            self.values = values
             self.update()
 
     def set_colors(self, colors: Sequence[QColor]) -> None:
@@ -100,7 +97,7 @@ class Slider(QWidget):
             self.update()
 
     def wrapped(self) -> bool:
-        return self._wraps and self._values[0] > self._values[-1]
+        return self._wraps and self.values[0] > self.values[-1]
 
     def sizeHint(self) -> QSize:
         return QSize(120, 22)
@@ -114,7 +111,7 @@ class Slider(QWidget):
 
     def handle_x(self, handle: int) -> float:
         left, length = self.travel()
-        return left + length * self._scale.fraction(self._values[handle])
+        return left + length * self._scale.fraction(self.values[handle])
 
     # Mouse
 
@@ -160,7 +157,7 @@ class Slider(QWidget):
 
     def focusNextPrevChild(self, forward: bool) -> bool:
         target = self._active + (1 if forward else -1)
-        if 0 <= target < len(self._values):
+        if 0 <= target < len(self.values):
             self._active = target
             self.clock.release()
             self.update()
@@ -171,7 +168,7 @@ class Slider(QWidget):
         if event is not None and event.reason() == Qt.FocusReason.TabFocusReason:
             self._active = 0
         if event is not None and event.reason() == Qt.FocusReason.BacktabFocusReason:
-            self._active = len(self._values) - 1
+            self._active = len(self.values) - 1
         super().focusInEvent(event)
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:
@@ -182,8 +179,8 @@ class Slider(QWidget):
 
     def _nearer_handle(self, x: float) -> int:
         low_x, high_x = self.handle_x(0), self.handle_x(-1)
-        if len(self._values) == 2 and low_x == high_x:  # take the handle that can move towards the mouse
-            return 0 if x < low_x or self._values[1] >= self._scale.high else 1
+        if len(self.values) == 2 and low_x == high_x:  # take the handle that can move towards the mouse
+            return 0 if x < low_x or self.values[1] >= self._scale.high else 1
         return int(abs(x - high_x) < abs(x - low_x))
 
     def _drag_to(self, x: float) -> None:
@@ -191,23 +188,23 @@ class Slider(QWidget):
         self._move_handle((x - self._grip_px - left) / length)
 
     def _step(self, steps: int) -> None:
-        position = round(self._scale.fraction(self._values[self._active]) * self._scale.positions) + steps
+        position = round(self._scale.fraction(self.values[self._active]) * self._scale.positions) + steps
         self._move_handle(position / self._scale.positions)
 
     def _move_handle(self, fraction: float) -> None:
         handle, positions = self._active, self._scale.positions
-        now = self._scale.fraction(self._values[handle])
+        now = self._scale.fraction(self.values[handle])
         if round(min(max(fraction, 0.0), 1.0) * positions) == round(now * positions):
             return  # a value between two positions stays exactly what it is
-        if not self._wraps and len(self._values) == 2:
+        if not self._wraps and len(self.values) == 2:
             if handle == 0:
-                fraction = min(fraction, self._scale.fraction(self._values[1]) - self._gap)
+                fraction = min(fraction, self._scale.fraction(self.values[1]) - self._gap)
             else:
-                fraction = max(fraction, self._scale.fraction(self._values[0]) + self._gap)
+                fraction = max(fraction, self._scale.fraction(self.values[0]) + self._gap)
         value = self._scale.value(fraction)
-        values = tuple(value if number == handle else kept for number, kept in enumerate(self._values))
-        if values != self._values:
-            self._values = values
+        values = tuple(value if number == handle else kept for number, kept in enumerate(self.values))
+        if values != self.values:
+            self.values = values
             self.update()
             self.edited.emit(values, self.clock.number())
 
@@ -221,7 +218,7 @@ class Slider(QWidget):
         centre, enabled = self.height() / 2, self.isEnabled()
         height = _COLORED_GROOVE if self._colors else _GROOVE
         accent = QColor(colors.accent if enabled else colors.border)
-        low, high = left if len(self._values) == 1 else self.handle_x(0), self.handle_x(-1)
+        low, high = left if len(self.values) == 1 else self.handle_x(0), self.handle_x(-1)
         inside, outside = [(low, high)], [(left, low), (high, left + length)]
         if self.wrapped():
             inside, outside = [(left, high), (low, left + length)], [(high, low)]
@@ -250,7 +247,7 @@ class Slider(QWidget):
         for ends in inside:
             painter.drawRoundedRect(span(*ends), corner, corner)
         painter.setPen(QPen(accent, 2.0))
-        for handle in range(len(self._values)):
+        for handle in range(len(self.values)):
             lit = enabled and handle == self._active and (self.clock.held or self.hasFocus())
             painter.setBrush(QColor(colors.accent if lit else colors.knob if enabled else colors.button))
             painter.drawEllipse(QPointF(self.handle_x(handle), centre), _RADIUS, _RADIUS)
