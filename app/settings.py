@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Final
 
 import platformdirs
-from PyQt6.QtCore import QByteArray, QLockFile, QTimer
+from PyQt6.QtCore import QByteArray, QLockFile
 
 from ..core.errors import ExportError
 from ..core.model.files import atomic_path
 from ..core.model.loading import read_json
+from ..widgets.basics.controls import timer
 
 RECENT_LIMIT = 10
 #: Time from a change to its writing, ms.
@@ -46,10 +47,7 @@ class Settings:
         self._path = path
         self._values = _read(path)
         self._changed: dict[str, str] = {}
-        self._timer = QTimer()
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(_WRITE_AFTER_MS)
-        self._timer.timeout.connect(self.sync)
+        self._timer = timer(None, _WRITE_AFTER_MS, self.sync, once=True)
 
     def text(self, key: str, default: str = "") -> str:
         return self._values.get(key, default)

@@ -17,7 +17,7 @@ from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import named, wrapped_label
 from ...widgets.basics.layouts import splitter, vbox
-from ...widgets.basics.theme import theme_name
+from ...widgets.basics.theme import THEME
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ...widgets.plots.plot import Plot
@@ -109,7 +109,7 @@ class TiltTab(LiveTab):
     def _show(self, result: Result, points: Float32Array, tilt: Tilt) -> None:
         lines = plane_lines(points, tilt)
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
-        lut = patch_lut(theme_name()).copy()
+        lut = patch_lut(THEME.name).copy()
         lut[_PLANE_ROW] = (*_PITCH_RGB, 255)
         cloud = free_cloud(np.concatenate([points, lines]), colors, lut, count=len(points))
         self.cloud.set_message("No contact yet: press the object into the membrane, or play to a frame with contact")

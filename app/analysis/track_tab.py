@@ -24,7 +24,7 @@ from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
-from ...widgets.basics.theme import THEME, theme_colors, theme_name
+from ...widgets.basics.theme import THEME, theme_colors
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
@@ -241,7 +241,7 @@ class TrackTab(LiveTab):
         self.pose.setText("" if tracked is None else pose_text(tracked))
         patch = np.zeros((0, 3)) if result is None or result.patch is None else result.patch.points
         points, colors, legend = patch, np.full(len(patch), CONTACT_ROW, np.uint8), [("patch", CONTACT_COLOR)]
-        lut = patch_lut(theme_name()).copy()
+        lut = patch_lut(THEME.name).copy()
         if tracked is not None and model is not None and not tracked.estimate.lost:
             pose = tracked.estimate.T_proximity_object
             points = np.concatenate([patch, model.points @ pose[:3, :3].T + pose[:3, 3]])

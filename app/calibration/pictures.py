@@ -12,7 +12,7 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.colormaps import depth_lut
-from ...widgets.images.strip_render import NO_VALUE_RGB
+from ...widgets.images.strip_render import NO_VALUE_RGB, color_pane
 from .session import ImageChoice
 
 
@@ -32,7 +32,7 @@ def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice) -> Pi
         low, high = np.percentile(gray[::4, ::4], (0.5, 99.5))
         scale = 255.0 / max(high - low, 1.0)
         shown = cv2.convertScaleAbs(np.maximum(color, np.uint8(low)), alpha=scale, beta=-low * scale)
-        return Picture(pack_rgb(np.asarray(shown)), np.asarray(gray, dtype=np.uint8))
+        return Picture(color_pane(np.asarray(shown), None), np.asarray(gray, dtype=np.uint8))
     counts = frame.proximity_depth if side == "proximity" else frame.tactile_depth
     camera = rig.proximity if side == "proximity" else rig.tactile
     valid = valid_depth(counts)
@@ -42,7 +42,7 @@ def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice) -> Pi
     rows = np.clip((depth_m - low) * (255.0 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
     rgb = depth_lut()[rows, :3]
     rgb[~valid] = NO_VALUE_RGB
-    return Picture(pack_rgb(rgb), np.where(valid, rows, np.uint8(0)).astype(np.uint8))
+    return Picture(color_pane(rgb, None), np.where(valid, rows, np.uint8(0)).astype(np.uint8))
 
 
 def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
@@ -51,8 +51,3 @@ def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
     counts = frame.tactile_depth[v, u]
     valid = valid_depth(counts)
     return np.column_stack([u[valid], v[valid], counts[valid] * rig.tactile.depth_unit_m]).astype(np.float64)
-
-
-def pack_rgb(rgb: Uint8Array) -> Uint8Array:
-    """Convert RGB (H, W, 3) to the memory layout of ``QImage.Format_RGB32``, (H, W, 4)."""
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGRA), dtype=np.uint8)

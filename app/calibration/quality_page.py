@@ -20,9 +20,10 @@ from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.images.point_image import PointImage
+from ...widgets.images.strip_render import color_pane
 from ..worker.jobs import Job
 from .fitting import Outcome, image_marks
-from .pictures import membrane_grid, pack_rgb, picture
+from .pictures import membrane_grid, picture
 from .session import Session, SessionState
 
 _STEP_PX = 8
@@ -69,7 +70,7 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> tuple[
     gray = cv2.cvtColor(shown.gray, cv2.COLOR_GRAY2RGB).astype(np.float32)
     weight = (_OPACITY * covered)[:, :, None]
     blended = gray * (1 - weight) + colors * weight
-    return pack_rgb(blended.astype(np.uint8)), low, high
+    return color_pane(blended.astype(np.uint8), None), low, high
 
 
 class QualityPage(QWidget):

@@ -31,7 +31,6 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset
 
 #: Number of frames of which the rig's noise is measured.
@@ -125,17 +124,27 @@ def capture_untouched(
     The mean is stored with a preset, in a file beside it; some methods and ``tactune check`` compare with it. Frames in
     which the preset finds contact are refused. The simulator removes its object for this.
     """
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.preset import now
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import save_untouched
     from ...core.sources.presets import load_preset
+    from ...core.warmup import warm_up_if_needed
 
     check_target(preset, str(preset))
     chosen = load_preset(preset)
     with open_with_progress(source, chosen) as opened:
         captured = average_frames(opened)
-        if not force:
-            _refuse_contact(chosen, opened.rig, captured.frame)
+        # Without a mask prints would count as contact, and some tests find it by this very frame: nothing is known.
+        if not force and chosen.mask.enabled and not chosen.test.needs_untouched and opened.rig.has_proximity:
+            with CliProgress() as progress:
+                warm_up_if_needed(progress.preparing)
+            patch = ContactPipeline(chosen, opened.rig).process(captured.frame)
+            if len(patch.points):
+                raise CalibrationError(
+                    f"the preset finds contact of {patch.area_mm2:,.0f} mm2 on a membrane that should be untouched; "
+                    "remove what touches the membrane or is close to it, and capture again, or keep it with --force"
+                )
     record = save_untouched(captured.frame, captured.frames, preset)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
     say(f"averaged {counted(captured.frames, 'frame')} of {opened.name}")
@@ -252,26 +261,6 @@ def _keep(measured: Preset, origin: str, target: Path | None) -> None:
         return
     save_changed(measured, origin, target)
     say(f"wrote {target}")
-
-
-def _refuse_contact(preset: Preset, rig: Rig, membrane: SensorFrame) -> None:
-    """Raise if the preset finds contact.
-
-    Without a mask prints would count as contact, and some tests find it by this very frame, so nothing is known.
-    """
-    from ...core.contact.pipeline import ContactPipeline
-    from ...core.warmup import warm_up_if_needed
-
-    if not preset.mask.enabled or preset.test.needs_untouched or not rig.has_proximity:
-        return
-    with CliProgress() as progress:
-        warm_up_if_needed(progress.preparing)
-    patch = ContactPipeline(preset, rig).process(membrane)
-    if len(patch.points):
-        raise CalibrationError(
-            f"the preset finds contact of {patch.area_mm2:,.0f} mm2 on a membrane that should be untouched; "
-            "remove what touches the membrane or is close to it, and capture again, or keep it with --force"
-        )
 
 
 def check_target(target: Path, preset: str | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -23,10 +23,6 @@ from .common import (
     warn,
     with_topics,
 )
-
-if TYPE_CHECKING:
-    from ...core.output.writer import SessionWriter
-    from ...core.sources import FrameSource
 
 _Preset = Annotated[
     str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to store in the recording.")
@@ -59,8 +55,16 @@ def record(
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(with_topics(source, topics), kept) as opened:
         untouched, rate_hz = usable(kept_untouched(kept, preset, opened)), opened.frame_rate_hz
+        live, total, done = opened.length is None, number_of_frames(opened, frames), 0
         with SessionWriter(out, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
-            _record_frames(opened, writer, frames)
+            with CliProgress() as progress, stop_on_signals() as stopped:
+                for frame in live_frames(opened, None, stopped):
+                    done += writer.put(frame, wait=not live)  # a frame that the disk was too slow for does not count
+                    status = writer.status()
+                    dropped = f", {status.dropped} dropped" if status.dropped else ""
+                    progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
+                    if status.error or done == total:
+                        break
             with stop_on_signals():  # one more signal must not lose the frames that are queued
                 status = writer.close()
         if status.error:
@@ -196,16 +200,3 @@ def _convert_recording(
         if opened.health().message:
             warn(opened.health().message)
     say(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
-
-
-def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None) -> None:
-    """Write frames until the source ends, the limit is reached, writing fails or Ctrl+C is pressed."""
-    live, total, done = source.length is None, number_of_frames(source, frames), 0
-    with CliProgress() as progress, stop_on_signals() as stopped:
-        for frame in live_frames(source, None, stopped):
-            done += writer.put(frame, wait=not live)  # a frame that the disk was too slow for does not count
-            status = writer.status()
-            dropped = f", {status.dropped} dropped" if status.dropped else ""
-            progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
-            if status.error or done == total:
-                break

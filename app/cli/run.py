@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
 from statistics import median
-from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -63,7 +62,6 @@ MCAP_SUFFIX = ".mcap"
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
 Estimate = Literal["tilt"]
-Lines = Literal["json", "text"]
 EstimateOption = Annotated[
     Estimate | None,
     typer.Option(help="Add roll, pitch and long axis of each patch with their standard deviations."),
@@ -107,6 +105,7 @@ def run(
     """
     if estimate is not None and not json_lines:
         raise typer.BadParameter("--estimate is printed with --json; add it")
+    from ...core.tuning.advice.findings import EXAMINED_EVERY, Examiner
 
     source = with_topics(source, topics)
     chosen, origin = chosen_preset(preset, source)
@@ -114,14 +113,40 @@ def run(
     if out is not None:
         check_writable(out / "patch" if out.suffix != MCAP_SUFFIX else out)  # before anything is computed
     with open_pipeline(source, chosen, origin) as (opened, pipeline):
-        tilt = make_tilt(estimate, chosen, opened.rig)
+        tilt, total = make_tilt(estimate, chosen, opened.rig), number_of_frames(opened, frames)
+        examiner = Examiner(opened.rig)
+        found: tuple[Finding, ...] = ()
+        records: deque[Record] = deque(maxlen=_SUMMARY_FRAMES)
+        done, scored, first_s = 0, False, 0.0
         with (
             _drift_watch(watch, pipeline, origin, opened) as look,
             stop_on_signals() as stopped,
             _patch_output(out, opened, chosen) as save,
+            CliProgress(quiet=json_lines or out is None) as progress,
         ):
-            lines: Lines | None = "json" if json_lines else "text" if out is None else None
-            done, records = _process(opened, pipeline, frames, save, stopped, truth, look, lines, tilt)
+            for frame in live_frames(opened, total, stopped):
+                patch = pipeline.process(frame)
+                number = patch.sequence if opened.length is None else done  # as the window counts
+                first_s = first_s if done else frame.proximity_time_s
+                scores = _scores(patch, frame.truth, opened.rig) if truth else {}
+                scored |= scores.get("touched") is not None
+                look(frame)
+                save(number, patch, frame)
+                if json_lines:
+                    if done % EXAMINED_EVERY == 0:
+                        found = examiner.findings(frame, patch, chosen, pipeline.untouched)
+                    record = {"frame": number, **_patch_record(patch, frame), **scores}
+                    record |= {} if tilt is None else {"tilt": tilt(patch).record()}
+                    record["findings"] = [finding.sentence for finding in found]
+                    typer.echo(json.dumps(record, allow_nan=False))
+                else:
+                    if out is None:
+                        say(_line(number, patch, frame.proximity_time_s - first_s, scores))
+                    records.append({"area_mm2": patch.area_mm2, "stage_ms": patch.stage_ms, **scores})
+                done += 1
+                progress.frames(done, total)
+        if truth and done and not scored:
+            warn(f"{opened.name} has no ground truth; iou, precision, recall and rmse_mm are empty")
         if records:
             say("\n".join(_summary(done, records, opened.name, chosen.name)))
             if out is not None:
@@ -153,51 +178,6 @@ def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iter
             write_cloud(out / f"patch_{number:06d}.npz", patch_columns(patch, frame, source.rig))
 
         yield save
-
-
-def _process(
-    source: FrameSource,
-    pipeline: ContactPipeline,
-    frames: int | None,
-    save: SavePatch,
-    stopped: Event,
-    truth: bool,
-    look: Look,
-    lines: Lines | None,
-    tilt: Estimator | None,
-) -> tuple[int, deque[Record]]:
-    """Process, save and print up to ``frames`` frames; return their number and what the summary is made of."""
-    from ...core.tuning.advice.findings import EXAMINED_EVERY, Examiner
-
-    records: deque[Record] = deque(maxlen=_SUMMARY_FRAMES)
-    done, scored, first_s = 0, False, 0.0
-    examiner = Examiner(source.rig)
-    found: tuple[Finding, ...] = ()
-    total = number_of_frames(source, frames)
-    with CliProgress(quiet=lines is not None) as progress:
-        for frame in live_frames(source, total, stopped):
-            patch = pipeline.process(frame)
-            number = patch.sequence if source.length is None else done  # as the window counts
-            first_s = first_s if done else frame.proximity_time_s
-            scores = _scores(patch, frame.truth, source.rig) if truth else {}
-            scored |= scores.get("touched") is not None
-            look(frame)
-            save(number, patch, frame)
-            if lines == "json":
-                if done % EXAMINED_EVERY == 0:
-                    found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)
-                estimate = {} if tilt is None else {"tilt": tilt(patch).record()}
-                record = {"frame": number, **_patch_record(patch, frame), **scores, **estimate}
-                typer.echo(json.dumps(record | {"findings": [finding.sentence for finding in found]}, allow_nan=False))
-            else:
-                if lines == "text":
-                    say(_line(number, patch, frame.proximity_time_s - first_s, scores))
-                records.append({"area_mm2": patch.area_mm2, "stage_ms": patch.stage_ms, **scores})
-            done += 1
-            progress.frames(done, total)
-    if truth and done and not scored:
-        warn(f"{source.name} has no ground truth; iou, precision, recall and rmse_mm are empty")
-    return done, records
 
 
 def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator | None:

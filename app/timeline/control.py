@@ -88,10 +88,6 @@ class Timeline(QObject):
         self._context.trim = trim
         self._strip.set_trim(trim)
 
-    @staticmethod
-    def _several(info: SourceInfo) -> bool:
-        return info.length is not None and info.length > 1
-
     def _opened(self, info: SourceInfo) -> None:
         self._info = info
         if info.length == 1:
@@ -99,7 +95,7 @@ class Timeline(QObject):
         self.job.stop()  # the file may have been replaced by another of the same name
         self._live.clear()
         self.series = None
-        self.availableChanged.emit(self._several(info))
+        self.availableChanged.emit((info.length or 0) > 1)
         self._strip.set_words("")
         self._preset_changed(self._context.document.preset)
         self.clear_marks()
@@ -112,7 +108,7 @@ class Timeline(QObject):
     def _preset_changed(self, preset: Preset) -> None:
         """Begin an empty series, unless the present one holds for the preset too; compute it after a moment."""
         info = self._info
-        if info is None or info.length is None or not self._several(info):
+        if info is None or info.length is None or info.length < 2:
             return
         depends_on = preset.model_dump_json(exclude=_WITHOUT_EFFECT)
         if self.series is None or depends_on != self._series_of:

@@ -12,7 +12,7 @@ from ...core.model.patch import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.overlays import Wipe
-from ...widgets.basics.theme import theme_name
+from ...widgets.basics.theme import THEME
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context
@@ -128,7 +128,7 @@ class FramePresenter(QObject):
         self._context.result = result
         self._context.playback = result.playback  # results overtake the worker's own announcement
         wipe, compared = self._wipe(), result.compared
-        self._views.show_result(result, theme_name(), wipe)
+        self._views.show_result(result, THEME.name, wipe)
         old_patch = result.waiting if result.patch is not None else ""
         self._views.show_badges(self._badges | ({CloudName.PATCH: old_patch} if old_patch else {}))
         self._strip.set_wipe(wipe)

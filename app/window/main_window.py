@@ -19,7 +19,7 @@ from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
 from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
-from ...widgets.basics.theme import THEME, ThemeChoice, theme_name
+from ...widgets.basics.theme import THEME, ThemeChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ...widgets.plots.time_strip import TimeStrip
@@ -364,7 +364,7 @@ class MainWindow(QMainWindow):
                 strip_width=self.strip.width_hint(),
                 shows_mask=self.panel.show_mask.isChecked(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),
-                dark=theme_name() == "dark",
+                dark=THEME.name == "dark",
             )
         )
 

@@ -15,7 +15,7 @@ from ...core.contact.masking import in_hsv_range, masked_share
 from ...core.contact.pipeline import ContactPatch
 from ...core.contact.pixels import colors_at
 from ...core.errors import TactuneError
-from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
+from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
@@ -207,7 +207,9 @@ class Renderer:
         if not patch or len(patch.points) or CloudName.PATCH not in wanted.clouds:
             self._no_contact = "", ""
         elif wanted.words or not self._no_contact[0]:
-            self._no_contact = why_no_contact(frame, patch, preset, rig)
+            blind = depth_missing(frame, rig)
+            why = preset.test.why_no_contact(patch.provenance)
+            self._no_contact = why if blind is None else (blind.sentence, blind.action)
         no_contact, no_contact_action = self._no_contact
         return Rendered(
             clouds=clouds,
@@ -272,14 +274,6 @@ def _pressure_top(pressure: PressureFacts) -> float:
     known = pressure.at_points.get()
     known = known[np.isfinite(known)]
     return math.ceil(2 * _quantiles(known, _ENDS[1])[0]) / 2 if len(known) else 0.0
-
-
-def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> tuple[str, str]:
-    """Return why a patch is empty and what to do, and the name of the window's action that helps, or an empty one."""
-    blind = depth_missing(frame, rig)
-    if blind is not None:
-        return blind.sentence, blind.action
-    return preset.test.why_no_contact(patch.provenance)
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
@@ -375,9 +369,12 @@ _VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {
 def _proximity_cloud(
     scene: Scene, index: Uint8Array | None, lut: Uint8Array, patch: ContactPatch | None = None, count: int | None = None
 ) -> DepthCloud:
-    camera = scene.rig.proximity
+    camera, depth = scene.rig.proximity, scene.frame.proximity_depth
+    if patch is not None and scene.preset.test.moves_points:
+        depth = depth.copy()
+        depth[patch.mask] = np.rint(patch.points[:, 2] / camera.depth_unit_m)
     return DepthCloud(
-        depth=scene.frame.proximity_depth if patch is None else _depth_with_patch(scene, patch),
+        depth=depth,
         depth_unit_m=camera.depth_unit_m,
         rays=ray_table(camera.intrinsics),
         lut=lut,
@@ -386,15 +383,6 @@ def _proximity_cloud(
         depth_range_m=scene.depth_range_m,
         count=count,
     )
-
-
-def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
-    """Return the proximity counts; where the contact test moves points, patch pixels get their depth."""
-    counts = scene.frame.proximity_depth
-    if scene.preset.test.moves_points:
-        counts = counts.copy()
-        counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
-    return counts
 
 
 def histogram_of(patch: ContactPatch, preset: Preset, wanted: frozenset[str]) -> Histogram | None:

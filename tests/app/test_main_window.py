@@ -25,7 +25,7 @@ from tactune.core.model.patch import Doubt
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.messages import Severity
-from tactune.widgets.basics.theme import theme_name
+from tactune.widgets.basics.theme import THEME
 
 
 def test_hidden_parts_are_not_drawn(window, qtbot):
@@ -54,7 +54,7 @@ def test_theme_switches_and_is_remembered(window, qtbot):
     base = window.palette().base().color()
     [dark] = [entry for entry in window.menus.themes.actions() if entry.data() == "dark"]
     dark.trigger()
-    assert theme_name() == "dark"
+    assert THEME.name == "dark"
     qtbot.waitUntil(lambda: window.palette().base().color() != base)
     assert dark.isChecked()
     assert window.settings.text("theme") == "dark"

@@ -41,7 +41,7 @@ def named(widget: _Widget, name: str, tip: str = "") -> _Widget:
     return widget
 
 
-def timer(parent: QObject, interval_ms: int, call: Callable[[], object], *, once: bool = False) -> QTimer:
+def timer(parent: QObject | None, interval_ms: int, call: Callable[[], object], *, once: bool = False) -> QTimer:
     """Return a timer, not started yet, that calls a method again and again, or once."""
     made = QTimer(parent)
     made.setSingleShot(once)

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
 from ...core.errors import minus
 from .controls import named
-from .theme import theme_name
+from .theme import THEME
 
 _Role = Qt.ItemDataRole
 #: Background of a row that needs a look.
@@ -119,7 +119,7 @@ class _Model(QAbstractTableModel):
         elif role == _Role.ToolTipRole:
             answer = (column.hint(record) if column.hint is not None else "") or column.tip
         elif role == _Role.BackgroundRole and self._marked is not None and self._marked(record):
-            answer = _MARKED[theme_name()]
+            answer = _MARKED[THEME.name]
         return answer
 
     def setData(self, index: QModelIndex, value: Any, role: int = _Role.EditRole) -> bool:

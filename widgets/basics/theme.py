@@ -85,12 +85,8 @@ class Theme(QObject):
 THEME: Final = Theme()
 
 
-def theme_name() -> ThemeName:
-    return THEME.name
-
-
 def theme_colors(name: ThemeName | None = None) -> ThemeColors:
-    return _THEMES[name or theme_name()]
+    return _THEMES[name or THEME.name]
 
 
 def text_font(size: TextSize, *, bold: bool = False) -> QFont:

@@ -25,7 +25,7 @@ from PyQt6.QtWidgets import QWidget
 from ...core.model.arrays import Float32Array, Float64Array, Uint8Array
 from ..basics.colormaps import over_background
 from ..basics.overlays import Reading, WipeGrip, paint_readings, paint_wipe
-from ..basics.theme import CASING, ThemeName, text_font, theme_name
+from ..basics.theme import CASING, THEME, ThemeName, text_font
 from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .view_camera import FAR, NEAR, Place, ViewCamera
 
@@ -346,7 +346,7 @@ class CloudCanvas(QWidget):
                 painter.drawImage(target, renderer.picture(cloud, look), part)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         if self.shows_axes and self.height() > 4 * _AXIS_MARGIN:  # else they would cover the cloud
-            axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
+            axes = _axes_image(self.camera.azimuth, self.camera.elevation, THEME.name, self.devicePixelRatioF())
             painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
         if self.arrow is not None:
             self._paint_arrow(painter, self.arrow)

@@ -44,7 +44,7 @@ def difference_limit(tolerance: float) -> float:
 
 
 def color_pane(color: Uint8Array, mask: BoolArray | None) -> Uint8Array:
-    """Draw colours, RGB, tinted where the mask covers them."""
+    """Draw colours, RGB, tinted where a mask covers them."""
     bgra = np.asarray(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA), np.uint8)
     if mask is not None:
         tint(bgra, mask, MASKED_RGB, MASK_TINT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -209,7 +210,15 @@ class ParameterPanel(QScrollArea):
             form.add(row)
             if row.in_header:
                 section.header.addWidget(row.widget)
-            self._add_below(spec, form)
+            if spec.path == "alignment.model":
+                form.add_line(self.alignment_info)
+            if spec.path == "tolerance.t":
+                self.tolerance_mm.setAlignment(Qt.AlignmentFlag.AlignRight)
+                form.add_line(self.tolerance_mm)
+            if spec.path in _HISTOGRAMS:
+                histogram = self.histograms[spec.path] = LimitHistogram(_HISTOGRAMS[spec.path], spec.default)
+                histogram.limitEdited.connect(partial(self._histogram_dragged, spec.path))
+                form.add_line(histogram)
         form.edited.connect(self._row_edited)
         if name == "mask":
             for mode, (text, tip) in _EYEDROPPERS.items():
@@ -226,17 +235,6 @@ class ParameterPanel(QScrollArea):
             suggest.clicked.connect(lambda: self.suggestRequested.emit(name))
             section.header.addWidget(suggest)
         return section
-
-    def _add_below(self, spec: FieldSpec, form: Form) -> None:
-        if spec.path == "alignment.model":
-            form.add_line(self.alignment_info)
-        if spec.path == "tolerance.t":
-            self.tolerance_mm.setAlignment(Qt.AlignmentFlag.AlignRight)
-            form.add_line(self.tolerance_mm)
-        if spec.path in _HISTOGRAMS:
-            histogram = self.histograms[spec.path] = LimitHistogram(_HISTOGRAMS[spec.path], spec.default)
-            histogram.limitEdited.connect(lambda limit, gesture: self._histogram_dragged(spec.path, limit, gesture))
-            form.add_line(histogram)
 
     def _order_tabs(self) -> None:
         """Let Tab go through the panel as one reads it."""
