@@ -20,7 +20,7 @@ from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import NoteLabel, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import field_spec
-from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, empty, hbox, holding, scrolling, vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import Context
@@ -120,9 +120,8 @@ class SuggestWindow(QDialog):
         self.apply.setDefault(True)
         self.undo = push_button("&Undo", "Take the applied suggestions back (Ctrl+Z)", "Ctrl+Z")
         self.leave = push_button("&Close", "Close this window; the preset stays as it is (Esc)")
-        content = QWidget()
         self._parts = vbox()
-        vbox(self._parts, STRETCH, within=content, margins=0)
+        content = holding(vbox(self._parts, STRETCH, margins=0))
         tools = hbox(self.again, (self.working, 1))
         row = hbox(self.compare, self.undo, STRETCH, self.apply, self.leave)
         vbox(self.sentence, (scrolling(content), 1), tools, row, within=self)

@@ -9,14 +9,13 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import named, wrapped_label
-from ...widgets.basics.layouts import splitter, vbox
+from ...widgets.basics.layouts import holding, splitter, vbox
 from ...widgets.basics.theme import THEME
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
@@ -65,8 +64,7 @@ class TiltTab(LiveTab):
         self.plot.add_legend(2)
         self._curves = [self._curve("roll", _ROLL_RGB), self._curve("pitch", _PITCH_RGB)]
         self.plot.follow_theme()
-        side = QWidget()
-        vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
+        side = holding(vbox(self.roll, self.pitch, self.axis, (self.plot, 1), margins=0))
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
         self.cloud.set_message(self.status.text())
 

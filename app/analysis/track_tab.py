@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QLabel
 from scipy.spatial.transform import Rotation
 
 from ...core.errors import MissingExtraError, minus
@@ -22,7 +22,7 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.sources.simulator.scenes import read_name, resolve_scene
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
-from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, splitter, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import THEME, theme_colors
 from ...widgets.clouds.cloud_data import free_cloud
@@ -150,8 +150,7 @@ class TrackTab(LiveTab):
         )
         self.simulated.hide()
         self.top.addLayout(hbox(self.open_button, self.simulated, self.track_button, STRETCH))
-        side = QWidget()
-        vbox(self.guide, self.pose, JobRow(self._loading), STRETCH, within=side, margins=0)
+        side = holding(vbox(self.guide, self.pose, JobRow(self._loading), STRETCH, margins=0))
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, (self.scene, 1), side, sizes=(600, 340)))
         self.open_button.clicked.connect(self._ask_mesh)
         self.simulated.clicked.connect(self._open_simulated)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from PyQt6.QtCore import QObject, QProcess, Qt, pyqtSignal
-from PyQt6.QtWidgets import QCheckBox, QFormLayout, QLabel, QSpinBox, QWidget
+from PyQt6.QtWidgets import QCheckBox, QFormLayout, QLabel, QSpinBox
 
 from ...core.contact.kernels.threads import available_threads
 from ...core.errors import PresetError, TactuneError, as_sentence, counted, minus
@@ -21,7 +21,7 @@ from ...core.preset.file import save_preset
 from ...core.tuning.plan import Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, named, push_button
 from ...widgets.basics.fields import field_spec, format_number
-from ...widgets.basics.layouts import STRETCH, hbox, scrolling, splitter, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.basics.record_table import Column, RecordTable
 from ..context import Context
@@ -191,7 +191,7 @@ class TuneTab(AnalysisTab):
         )
         self.stop = push_button("Sto&p", "Stop the search. Its trials are kept: Start continues it (Alt+P)")
         self.use = push_button("&Use", "Put the chosen trial's values into the preset, as one undo step (Return)")
-        self._field_box = QWidget()
+        self._field_box = holding(vbox(margins=0, spacing=4))
         self._lay_out()
         self.start.clicked.connect(self._start)
         self.stop.clicked.connect(self._stop)
@@ -228,11 +228,9 @@ class TuneTab(AnalysisTab):
         form = QFormLayout()
         form.addRow("Tria&ls", self.trials)
         form.addRow("&Frames", self.frames)
-        vbox(within=self._field_box, margins=0, spacing=4)
-        panel = QWidget()
         buttons = hbox(self.start, self.stop)
         fields = vbox(QLabel("Fields to search:"), self._field_box, spacing=4)
-        vbox(fields, form, buttons, 12, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
+        panel = holding(vbox(fields, form, buttons, 12, self.use, STRETCH, margins=(0, 0, 4, 0)))
         across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (self.table, 1))
         vbox(self.status, (across, 1), within=self, margins=0)
 

@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QWidget
 from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
 from ...widgets.basics.controls import keep_place, named, push_button, timer
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import hbox, holding, vbox
 from ...widgets.images.image_pane import ImagePane
 from ..context import Context
 from .pictures import picture
@@ -55,13 +55,11 @@ class FramesPage(QWidget):
         for number, pane in enumerate(self.previews.values()):
             pane.view.setMinimumSize(160, 100)
             images.addWidget(pane, number // 2, number % 2)
-        self.running = QWidget()
-        hbox((self.step.progress, 1), self.step.cancel, within=self.running, margins=0)
+        self.running = holding(hbox((self.step.progress, 1), self.step.cancel, margins=0))
         keep_place(self.running)
         self.running.hide()
         left = vbox((images, 1), self.note, self.running)
-        self.taken = QWidget()
-        vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=self.taken, margins=0)
+        self.taken = holding(vbox(QLabel("Snapshots"), (self.list, 1), self.remove, margins=0))
         self.taken.setFixedWidth(300)
         hbox((left, 1), self.taken, within=self, margins=(8, 8, 8, 4))
         step = self.step

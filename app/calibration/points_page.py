@@ -15,7 +15,7 @@ from ...core.calibration.report import PairQuality
 from ...core.errors import counted
 from ...core.model.alignment import Place, PointPair, Side
 from ...widgets.basics.controls import ElidedLabel, GestureClock, caption, push_button
-from ...widgets.basics.layouts import hbox, splitter, vbox
+from ...widgets.basics.layouts import hbox, holding, splitter, vbox
 from ...widgets.basics.record_table import Column, RecordTable
 from ...widgets.images.point_image import PointImage
 from .correspondence import proximity_partner, tactile_partner
@@ -65,8 +65,7 @@ class PointsPage(QWidget):
         self.store = push_button("&Export…", "Write the pairs to a CSV file")
         shown = (caption("&Snapshot", self.snapshot), self.snapshot, caption("Ima&ge", self.image), self.image)
         tools = hbox(*shown, (self.finder, 1), spacing=8)
-        self.views = QWidget()
-        hbox(*((image, 1) for image in self.images.values()), within=self.views, margins=0, spacing=8)
+        self.views = holding(hbox(*((image, 1) for image in self.images.values()), margins=0, spacing=8))
         self.split = splitter(Qt.Orientation.Vertical, (self.views, 3), (self.table, 1), sizes=(480, 170))
         below = hbox((self.hint, 1), self.drop, self.load, self.store)
         vbox(tools, (self.split, 1), self.finder.words, below, within=self, margins=(8, 4, 8, 4), spacing=4)

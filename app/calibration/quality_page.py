@@ -17,7 +17,7 @@ from ...core.model.arrays import Uint8Array
 from ...core.model.frames import SensorFrame
 from ...widgets.basics.colormaps import ends_legend
 from ...widgets.basics.controls import wrapped_label
-from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, scrolling, vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.images.point_image import PointImage
 from ...widgets.images.strip_render import color_pane
@@ -96,10 +96,8 @@ class QualityPage(QWidget):
         self.warnings.setTextFormat(Qt.TextFormat.PlainText)
         choice = QFormLayout()
         choice.addRow("&Model", self.model)
-        side = QWidget()
         verdict = (self.grade, self.why, self.step, 8, choice, self.reason, self.offset)
-        rest = (8, self.residual, self.warnings, STRETCH)
-        vbox(*verdict, *rest, within=side)
+        side = holding(vbox(*verdict, 8, self.residual, self.warnings, STRETCH))
         hbox((self.map, 3), (scrolling(side), 2), within=self, margins=(8, 8, 8, 4))
         self.model.activated.connect(
             lambda _: session.choose(f"Model: {self.model.currentText()}", model=self.model.currentData())

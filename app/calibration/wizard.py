@@ -18,7 +18,7 @@ from ...core.errors import counted
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import NoteLabel, action_button, choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import SOURCE, TASK, Context
 from .check_page import CheckPage
@@ -99,8 +99,7 @@ class CalibrationWizard(QDialog):
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setMinimumWidth(120)
             push.setProperty("wide", True)  # a style sheet's width wins over the one above
-        area = QWidget()
-        vbox(self.stack, within=area, margins=0)
+        area = holding(vbox(self.stack, margins=0))
         self.messages = Messages(area, self._below_views)
         self.restored = NoteLabel()
         self.restored.hide()

@@ -17,7 +17,7 @@ from ...core.rig.untouched import place_at_rest
 from ...core.sources.base import part_of
 from ...core.sources.registry import open_source, opens_by_name
 from ...widgets.basics.controls import ElidedLabel, NoteLabel, TintedLabel, action_button, heading, push_button
-from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, vbox
 from ...widgets.basics.theme import text_font
 from ..calibration.measuring_step import OTHER_SOURCE
 from ..context import Context
@@ -63,9 +63,7 @@ class StepRow(QFrame):
         if work is not None:
             work.setParent(self)
             work.hide()
-            running = QWidget()
-            hbox((work.progress, 1), work.cancel, within=running, margins=0)
-            self._stack.addWidget(running)
+            self._stack.addWidget(holding(hbox((work.progress, 1), work.cancel, margins=0)))
             below.setFixedHeight(work.cancel.sizeHint().height())
             work.progress.setAccessibleName(f"Progress of {title.lower()}")
         buttons = [*([] if work is None else [work.start]), *more]

@@ -13,7 +13,7 @@ from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection, dialog_buttons, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec
-from ...widgets.basics.layouts import STRETCH, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, holding, scrolling, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.parameters.form import Form, ParameterRow
 from ..context import Context
@@ -111,9 +111,9 @@ class CameraPanel(QDialog):
         self.delay = ParameterRow(field_spec(Preset, DELAY_PATH))
         self._sections = {role: CollapsibleSection(title) for role, title in _TITLES.items()}
         self._bodies: dict[CameraRole, QWidget] = {}
-        timing, column = CollapsibleSection("Timing"), QWidget()
+        timing = CollapsibleSection("Timing")
         vbox(Form([self.delay]), within=timing.body, margins=0)
-        vbox(*self._sections.values(), timing, STRETCH, within=column, margins=4)
+        column = holding(vbox(*self._sections.values(), timing, STRETCH, margins=4))
         for role, section in self._sections.items():
             vbox(within=section.body, margins=0)
             self._rebuild(role, [])

@@ -200,42 +200,35 @@ def _set_up(action: QAction, row: Row) -> QAction:
     return action
 
 
-@dataclass(frozen=True)
 class Menus:
-    """The menus whose entries change while the window runs; `preset` is that of the toolbar's button."""
+    """The menu bar, filled, and its menus whose entries change while the window runs; ``tabs`` open analysis tabs."""
 
-    preset: QMenu
-    recent_presets: QMenu
-    shipped_presets: QMenu
-    themes: QActionGroup
-    speeds: QActionGroup
-
-
-def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menus:
-    """Fill the menu bar, and build the toolbar's menu of presets from the same actions; ``tabs`` open analysis tabs."""
-    submenus: dict[str, QMenu] = {}
-    for title, entries in TABLE.items():
-        menu = bar.addMenu(title)
-        assert menu is not None
-        menu.setToolTipsVisible(True)
-        for entry in entries:
-            if entry is None:
-                menu.addSeparator()
-            elif isinstance(entry, Row):
-                menu.addAction(getattr(actions, entry.name))
-            elif entry.name == "tabs":
-                menu.addActions(tabs)
-            else:
-                submenu = submenus[entry.name] = QMenu(entry.text, menu)
-                menu.addMenu(submenu)
-    preset = QMenu("Preset", bar)
-    preset.addAction(actions.new_preset)
-    preset.addMenu(submenus["shipped_presets"])
-    preset.addActions([actions.open_preset, actions.save, actions.save_as, actions.copy_command, actions.copy_python])
-    preset.addMenu(submenus["recent_presets"])
-    themes = _choices(submenus["themes"], [(theme.capitalize(), theme) for theme in THEMES])
-    speeds = _choices(submenus["speeds"], [(f"{speed:g} x", speed) for speed in SPEEDS])
-    return Menus(preset, submenus["recent_presets"], submenus["shipped_presets"], themes, speeds)
+    def __init__(self, bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> None:
+        submenus: dict[str, QMenu] = {}
+        for title, entries in TABLE.items():
+            menu = bar.addMenu(title)
+            assert menu is not None
+            menu.setToolTipsVisible(True)
+            for entry in entries:
+                if entry is None:
+                    menu.addSeparator()
+                elif isinstance(entry, Row):
+                    menu.addAction(getattr(actions, entry.name))
+                elif entry.name == "tabs":
+                    menu.addActions(tabs)
+                else:
+                    submenu = submenus[entry.name] = QMenu(entry.text, menu)
+                    menu.addMenu(submenu)
+        self.shipped_presets, self.recent_presets = submenus["shipped_presets"], submenus["recent_presets"]
+        #: The menu of the button *Preset*, of the same actions.
+        self.preset = QMenu("Preset", bar)
+        self.preset.addAction(actions.new_preset)
+        self.preset.addMenu(self.shipped_presets)
+        copies = actions.copy_command, actions.copy_python
+        self.preset.addActions([actions.open_preset, actions.save, actions.save_as, *copies])
+        self.preset.addMenu(self.recent_presets)
+        self.themes = _choices(submenus["themes"], [(theme.capitalize(), theme) for theme in THEMES])
+        self.speeds = _choices(submenus["speeds"], [(f"{speed:g} x", speed) for speed in SPEEDS])
 
 
 def _choices(menu: QMenu, entries: list[tuple[str, object]]) -> QActionGroup:

@@ -13,7 +13,7 @@ from ...core.errors import as_sentence
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import NoteLabel, heading, push_button, timer
-from ...widgets.basics.layouts import STRETCH, empty, hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, empty, hbox, holding, scrolling, vbox
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
 from ..worker.results import CloudName
@@ -42,9 +42,7 @@ class FindingsRail(QWidget):
         self.title = heading()
         self._cards = QVBoxLayout()
         self._cards.setSpacing(4)
-        content = QWidget()
-        vbox(self._cards, STRETCH, within=content, margins=0)
-        self._area = scrolling(content)
+        self._area = scrolling(holding(vbox(self._cards, STRETCH, margins=0)))
         self._column = vbox(self.title, (self._area, 1), within=self, margins=_MARGINS, spacing=4)
         self._low = self._full = False
         self.setAccessibleName("Findings")

@@ -16,7 +16,7 @@ from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
-from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
+from ...widgets.basics.layouts import hbox, holding, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import THEME, ThemeChoice
@@ -44,7 +44,7 @@ from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
-from .actions import THEMES, Actions, make_menus, plain_text
+from .actions import THEMES, Actions, Menus, plain_text
 from .comparison import ComparisonPanel
 from .export import Export
 from .files import FileFlows
@@ -140,7 +140,7 @@ class MainWindow(QMainWindow):
     def _lay_out(self) -> None:
         bar = self.menuBar()
         assert bar is not None
-        self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
+        self.menus = Menus(bar, self.actions_, list(self.analysis.actions.values()))
         self.pointing = Pointing(self.context, self.views, self.strip)
         self.force = ForceWindow(self.context)
         self.publishing = PublishControl(self.context, self.status.publishing)
@@ -160,10 +160,8 @@ class MainWindow(QMainWindow):
         self.mode_bar = ModeBar(self.actions_, self.menus.preset, self.search)
         playback = hbox(self.transport, (self.time_strip, 1), margins=(4, 0, 4, 0), spacing=4)
         left = vbox((self.views, 1), playback, margins=0, spacing=4)
-        centre = QWidget()
         across = hbox((left, 1), self.beside, margins=(4, 0, 4, 0), spacing=8)
-        vbox(self.mode_bar, (across, 1), within=centre, margins=0, spacing=0)
-        self.setCentralWidget(centre)
+        self.setCentralWidget(holding(vbox(self.mode_bar, (across, 1), margins=0, spacing=0)))
         for part in (self.opening, self.export_bar):
             self.messages.pin(part)
         self.messages.covers.connect(self.rail.leave_free)

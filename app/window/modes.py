@@ -10,7 +10,7 @@ from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QApplication, QStackedWidget, QToolButton, QWidget
 
 from ...widgets.basics.controls import NoteLabel, action_button, heading, push_button
-from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, vbox
 from ..context import Context
 from ..worker.results import SourceInfo
 from .actions import Actions
@@ -42,16 +42,14 @@ class RunPanel(QWidget):
         details: FrameDetails,
     ) -> None:
         super().__init__()
-        self._live = QWidget()
         folder = hbox(action_button(actions.recordings_folder, with_text=True), STRETCH)
-        vbox(heading("Record"), folder, recording, 8, within=self._live, margins=0)
-        self._no_live = QWidget()
+        self._live = holding(vbox(heading("Record"), folder, recording, 8, margins=0))
         self.play_live = push_button(
             "Play as &live", "Play this source as if cameras sent it, to try recording and a robot"
         )
         self.play_live.clicked.connect(lambda: context.sourceRequested.emit(f"live:{context.source_name}"))
         note = NoteLabel("To record, connect cameras, or play this source as if it were live.")
-        hbox((note, 1), self.play_live, within=self._no_live, margins=0)
+        self._no_live = holding(hbox((note, 1), self.play_live, margins=0))
         vbox(
             self._no_live,
             self._live,
@@ -89,8 +87,7 @@ class ModeColumn(QWidget):
         self.stack = QStackedWidget()
         for panel in panels.values():
             self.stack.addWidget(panel)
-        self._step = QWidget()
-        hbox((self._sentence, 1), vbox(self.button, STRETCH), within=self._step, margins=(8, 4, 8, 4))
+        self._step = holding(hbox((self._sentence, 1), vbox(self.button, STRETCH), margins=(8, 4, 8, 4)))
         vbox(self._step, (self.stack, 1), within=self, margins=0, spacing=4)
         group = QActionGroup(self)
         for mode in Mode:

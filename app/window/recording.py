@@ -24,7 +24,6 @@ from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
 from ..sources.pages import RECENT
-from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceInfo, SourceState
 from ..worker.worker import NOT_LIVE
 
@@ -152,19 +151,18 @@ class RecordingBar(QFrame):
         elif free < MIN_FREE:
             self._worker.stop_recording(f"only {size(free)} are free: free some space, or choose another folder")
 
-    def _ended(self, end: RecordingEnd) -> None:
+    def _ended(self, status: RecordingStatus, reason: str) -> None:
         self._path, self._finishing = None, False
         self._refresh.stop()
         self.hide()
         self._show_action()
-        self._tell(end)
+        self._tell(self._with_lost(status), reason)
         then, self._then = self._then, None
         if then is not None:
             then()
 
-    def _tell(self, end: RecordingEnd) -> None:
+    def _tell(self, status: RecordingStatus, reason: str) -> None:
         """Report the finished file, the reason if it stopped by itself, and offer to open it."""
-        status = self._with_lost(end.status)
         name = f"mcap:{status.path}"
         offers: list[Offer] = []
         if status.frames:
@@ -181,9 +179,9 @@ class RecordingBar(QFrame):
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
             sentence += f" Not recorded: {counted(status.dropped, 'frame')}, lost by cameras, computer or a slow disk."
-        if end.reason:
-            sentence += f" It ended because {end.reason.rstrip('.')}."
-        well = not (status.dropped or status.error or end.reason)
+        if reason:
+            sentence += f" It ended because {reason.rstrip('.')}."
+        well = not (status.dropped or status.error or reason)
         self._messages.show_message(
             "recording", Severity.INFO if well else Severity.WARNING, sentence, offers, subject=TASK
         )

@@ -23,7 +23,7 @@ from ...widgets.basics.colormaps import (
     provenance_legend,
 )
 from ...widgets.basics.controls import ChoiceBox, caption, named
-from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, holding, splitter, vbox
 from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
@@ -109,15 +109,12 @@ class ViewArea(QWidget):
         self._show_large()
 
     def _lay_out(self) -> None:
-        self._choices = QWidget()
         color_by, point_size = caption("&Colour", self.color_by), caption("Si&ze", self.point_size)
         row = hbox(*(color_by, self.color_by, 8, point_size, self.point_size, STRETCH), margins=(4, 0, 4, 0), spacing=4)
-        vbox(row, within=self._choices, margins=0)
         *cameras, patch = self.views.values()
         self._cameras = splitter(Qt.Orientation.Horizontal, *((view, 1) for view in cameras))
-        self._side = QWidget()
         self._rows = splitter(Qt.Orientation.Vertical, (self._cameras, 1), (self.strip, 1))
-        vbox(self._choices, (self._rows, 1), within=self._side, margins=0, spacing=4)
+        self._side = holding(vbox(row, (self._rows, 1), margins=0, spacing=4))
         self._across = splitter(Qt.Orientation.Horizontal, (self._side, 1), (patch, 1))
         vbox(self._across, within=self, margins=0)
         of_cameras = [(self._cameras, number, view) for number, view in enumerate(cameras)]

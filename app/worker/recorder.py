@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
 
@@ -14,19 +14,14 @@ from ...core.preset import Preset
 from .errors import explain
 
 
-@dataclass(frozen=True)
-class RecordingEnd:
-    """The finished file, and the reason if the recording stopped by itself."""
-
-    status: RecordingStatus
-    reason: str = ""
-
-
 class Recorder:
-    """Writes at most one file at a time, from any thread; ``ended`` is called for each, on a thread of its own."""
+    """Writes at most one file at a time, from any thread.
+
+    ``ended`` is called for each, on a thread of its own, with the reason if the recording stopped by itself.
+    """
 
     def __init__(
-        self, ended: Callable[[RecordingEnd], None], writer: Callable[..., SessionWriter] = SessionWriter
+        self, ended: Callable[[RecordingStatus, str], None], writer: Callable[..., SessionWriter] = SessionWriter
     ) -> None:
         self._ended = ended
         self._open = writer
@@ -117,7 +112,7 @@ class Recorder:
         except Exception as error:
             status = writer.status()
             reason = explain(error, f"{status.path} could not be finished")
-        self._ended(RecordingEnd(self._with_refused(status), reason))
+        self._ended(self._with_refused(status), reason)
 
     def _with_refused(self, status: RecordingStatus) -> RecordingStatus:
         return replace(status, dropped=status.dropped + self._refused)

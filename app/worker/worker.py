@@ -62,7 +62,7 @@ class Worker(QThread):
     examined = pyqtSignal(object, object)  # tuple of Finding on the newest frame, Preset
     recordingStarted = pyqtSignal(object)  # Path
     recordingFailed = pyqtSignal(str)  # it cannot be started
-    recordingEnded = pyqtSignal(object)  # RecordingEnd
+    recordingEnded = pyqtSignal(object, str)  # RecordingStatus, why it stopped by itself
 
     def __init__(self, preset: Preset, parent: QObject | None = None) -> None:
         super().__init__(parent)

@@ -163,7 +163,8 @@ def ends():
 
 @pytest.fixture
 def recorder(made, ends):
-    recorder = Recorder(ends.append, lambda *words, **options: made.append(HeldWriter(*words, **options)) or made[-1])
+    keep = lambda *words, **options: made.append(HeldWriter(*words, **options)) or made[-1]
+    recorder = Recorder(lambda *end: ends.append(end), keep)
     yield recorder
     made[0].may_close.set()
     recorder.close()
@@ -185,7 +186,7 @@ def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
     assert ends == []
     made[0].may_close.set()
     recorder.close()
-    assert ends[0].reason == "another source was opened"
+    assert ends[0][1] == "another source was opened"
 
 
 def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tmp_path):
@@ -196,8 +197,8 @@ def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tm
     assert recorder.status() is None
     made[0].may_close.set()
     recorder.close()
-    assert ends[0].reason == "Frame 1 could not be recorded (RuntimeError: broken)."
-    assert ends[0].status.frames == 1
+    [(status, reason)] = ends
+    assert reason == "Frame 1 could not be recorded (RuntimeError: broken)." and status.frames == 1
 
 
 def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(recorder, made, ends, tmp_path):

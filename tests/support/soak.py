@@ -26,8 +26,8 @@ from PyQt6.QtCore import QCoreApplication, QEvent, QObject, QTimer
 from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
-from tactune.app.worker.recorder import RecordingEnd
 from tactune.core.errors import TactuneError
+from tactune.core.output.writer import RecordingStatus
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -72,13 +72,12 @@ class Soak(QObject):
         self._window.worker.start_recording(self._folder / f"soak-{self.recordings}.mcap")
         QTimer.singleShot(int(1000 * self._cycle_s), self._window.worker.stop_recording)
 
-    def _recorded(self, end: RecordingEnd) -> None:
+    def _recorded(self, status: RecordingStatus, reason: str) -> None:
         """Check the recording, measure the memory, and go on or end."""
-        status = end.status
         self.recordings += 1
         self.frames += status.frames
-        if end.reason or status.error:
-            self.problems.append(end.reason or status.error)
+        if reason or status.error:
+            self.problems.append(reason or status.error)
         if status.frames:  # an empty recording leaves no file
             try:
                 with open_source(str(status.path)) as recording:

@@ -41,6 +41,13 @@ def vbox(
     return _filled(QVBoxLayout(within), parts, margins, spacing)
 
 
+def holding(layout: QLayout) -> QWidget:
+    """Return a widget that a layout fills."""
+    widget = QWidget()
+    widget.setLayout(layout)
+    return widget
+
+
 def splitter(
     orientation: Qt.Orientation, *parts: QWidget | tuple[QWidget, int], sizes: Sequence[int] = ()
 ) -> QSplitter:

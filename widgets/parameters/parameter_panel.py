@@ -17,7 +17,7 @@ from ...core.preset import CONTACT_TESTS, Preset
 from ..basics.colormaps import MASKED_RGB
 from ..basics.controls import CollapsibleSection, keep_place, new_gesture, tool_button, wrapped_label
 from ..basics.fields import FieldSpec, field_spec, section_fields
-from ..basics.layouts import hbox, vbox
+from ..basics.layouts import hbox, holding, vbox
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 from .form import Form, ParameterRow
 
@@ -225,9 +225,9 @@ class ParameterPanel(QScrollArea):
                 button = self.eyedroppers[mode] = _bar_button(text, tip, f"Eyedropper: {mode}")
                 button.clicked.connect(lambda on, mode=mode: self.eyedropperRequested.emit(mode if on else "off"))
             self.show_mask.setChecked(True)
-            bar, buttons = QWidget(), (*self.eyedroppers.values(), self.show_mask)
-            hbox(*((button, 1) for button in buttons), within=bar, margins=0, spacing=4)
-            form.add_line(bar, "Eyedropper")
+            buttons = (*self.eyedroppers.values(), self.show_mask)
+            bar = hbox(*((button, 1) for button in buttons), margins=0, spacing=4)
+            form.add_line(holding(bar), "Eyedropper")
             form.add_line(self.masked_share)
         if suggestible:
             tip = f"Measure {title.lower()} from the newest frames and the untouched frame, and propose values"

@@ -235,7 +235,7 @@ def test_the_window_stays_responsive_says_it_and_goes_on(qtbot, tmp_path):
     qtbot.addWidget(window, before_close_func=lambda window: window.close_without_asking())
     worker, states, ends, what = window.worker, [], [], "ended with status -9"
     worker.stateChanged.connect(states.append)
-    worker.recordingEnded.connect(ends.append)
+    worker.recordingEnded.connect(lambda *end: ends.append(end))
     window.show()
     opener = partial(open_troubled, tmp_path)
     window.open_request(SourceRequest("watched", lambda progress: ProcessSource(opener, progress)))
@@ -251,8 +251,9 @@ def test_the_window_stays_responsive_says_it_and_goes_on(qtbot, tmp_path):
     qtbot.waitUntil(lambda: window.result.processed > shown + 10)
     worker.stop_recording()
     qtbot.waitUntil(lambda: bool(ends))
-    assert (ends[0].reason, ends[0].status.error, ends[0].status.dropped) == ("", "", 0)
+    [(status, reason)] = ends
+    assert (reason, status.error, status.dropped) == ("", "", 0)
     with open_source(str(tmp_path / "session.mcap")) as recording:
         frames = list(recording)
-    assert len(frames) == ends[0].status.frames > 10
+    assert len(frames) == status.frames > 10
     assert np.all(np.diff([frame.proximity_time_s for frame in frames]) > 0)
