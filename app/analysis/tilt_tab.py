@@ -90,21 +90,7 @@ class TiltTab(LiveTab):
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
             return None
-        self.shown = result, found
-        self._show(result, result.patch.points, found)
-        angles = [getattr(found, name) for name in _ANGLES]
-        degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
-        frame = result.frame
-        return (frame.sequence, round(frame.proximity_time_s, 6), len(result.patch.points), *degrees)
-
-    def _show_none(self) -> None:
-        """Show no tilt: those of other frames would be taken for this one's."""
-        self.shown = None
-        self.cloud.set_cloud(None)
-        for label in (self.roll, self.pitch, self.axis):
-            label.setText("")
-
-    def _show(self, result: Result, points: Float32Array, tilt: Tilt) -> None:
+        self.shown, points, tilt = (result, found), result.patch.points, found
         lines = plane_lines(points, tilt)
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
         lut = patch_lut(THEME.name).copy()
@@ -122,6 +108,16 @@ class TiltTab(LiveTab):
         if result.preset.noise is None:
             hints.append("usual noise assumed: measure it (F6)")
         self.status.setText(" · ".join(hints))
+        angles = [getattr(tilt, name) for name in _ANGLES]
+        degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
+        return (result.frame.sequence, round(result.frame.proximity_time_s, 6), len(points), *degrees)
+
+    def _show_none(self) -> None:
+        """Show no tilt: those of other frames would be taken for this one's."""
+        self.shown = None
+        self.cloud.set_cloud(None)
+        for label in (self.roll, self.pitch, self.axis):
+            label.setText("")
 
     def rows_changed(self) -> None:
         rows = sorted(list(self.rows.values())[-_PLOTTED:], key=lambda row: float(row[1]))

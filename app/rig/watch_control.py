@@ -186,11 +186,7 @@ class DriftWindow(QDialog):
         self.found = found
         self.sentence.setText(as_sentence(found.sentence))
         self.unchecked.setText("" if found.state == "unknown" else " ".join(map(as_sentence, found.unchecked)))
-        self.image.layer.set_marks(_marks(found.alignment) if isinstance(found.alignment, Drift) else [])
-
-
-def _marks(drift: Drift) -> list[Mark]:
-    return [
-        Mark(str(number), float(place[0]), float(place[1]), arrow=(float(offset[0]), float(offset[1])))
-        for number, (place, offset) in enumerate(zip(drift.tactile, drift.offsets_px, strict=True))
-    ]
+        if isinstance(drift := found.alignment, Drift):  # else none are shown, since the check began
+            moved = zip(drift.tactile.tolist(), drift.offsets_px.tolist(), strict=True)
+            marks = [Mark(str(number), u, v, arrow=(du, dv)) for number, ((u, v), (du, dv)) in enumerate(moved)]
+            self.image.layer.set_marks(marks)

@@ -170,7 +170,11 @@ class CameraPanel(QDialog):
         if before == preset.cameras:
             return
         self._show_options(tuple(self._sent(option, before) for option in self._options))
-        if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERAS):
+        opened_with = [
+            (cameras.proximity.serial, cameras.tactile.serial, cameras.tactile_delay_s)
+            for cameras in (before, preset.cameras)
+        ]
+        if opened_with[0] != opened_with[1] and self._source.startswith(CAMERAS):
             self._messages.show_message(
                 "cameras",
                 Severity.INFO,
@@ -203,8 +207,3 @@ def _kept(cameras: CamerasSection, option: CameraOption) -> float | None:
     """Return a preset's value of an option, or None."""
     value: float | None = getattr(cameras, option.camera).options.get(option.name)
     return value
-
-
-def _needs_reopening(before: CamerasSection, after: CamerasSection) -> bool:
-    serials = [(cameras.proximity.serial, cameras.tactile.serial) for cameras in (before, after)]
-    return serials[0] != serials[1] or before.tactile_delay_s != after.tactile_delay_s

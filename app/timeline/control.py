@@ -19,7 +19,7 @@ from ...core.sources.registry import opens_by_name
 from ...widgets.basics.controls import timer
 from ...widgets.plots.time_strip import CURVES, LIVE_S, STALL_FACTOR, STALL_S, TimeStrip
 from ..context import Context
-from ..worker.results import Pace, Result, SourceInfo
+from ..worker.results import Pace, SourceInfo
 from .series import Answer, FrameValues, Order, Series, frame_values, serve_series
 
 #: Rest after a change of the preset before its series is computed, in ms: a drag changes it many times.
@@ -148,12 +148,10 @@ class Timeline(QObject):
         result = self._context.result
         if result is None or result.source is not self._info:
             return
-        if result.source.length is None:
-            self._note_live(result)
-        elif self._pace.due(result):
-            self._strip.set_cursor(result.frame_number)
-
-    def _note_live(self, result: Result) -> None:
+        if result.source.length is not None:
+            if self._pace.due(result):
+                self._strip.set_cursor(result.frame_number)
+            return
         now_s = time.monotonic()
         if result.patch is not None and (not self._live or self._live[-1][1].index != result.frame.sequence):
             self._live.append((now_s, frame_values(result.frame.sequence, result.frame, result.patch)))

@@ -187,13 +187,8 @@ class MainWindow(QMainWindow):
         self.panel.go_to(path)
 
     def _connect(self) -> None:
-        self._connect_document()
-        self._connect_worker()
-        self._connect_views()
-        self._connect_actions()
-
-    def _connect_document(self) -> None:
-        document, panel = self.document, self.panel
+        document, panel, worker, transport = self.document, self.panel, self.worker, self.transport
+        # The document
         document.presetChanged.connect(lambda preset: self.worker.set_preset(preset, document.untouched_home))
         document.presetChanged.connect(panel.set_preset)
         document.presetChanged.connect(self._show_document)
@@ -209,8 +204,7 @@ class MainWindow(QMainWindow):
             lambda sentence, details: self.messages.show_message("defect", Severity.ERROR, sentence, details=details)
         )
 
-    def _connect_worker(self) -> None:
-        worker, transport = self.worker, self.transport
+        # The worker
         worker.resultReady.connect(self._show_newest)
         worker.opening.connect(self._show_opening)
         worker.opened.connect(self._opened)
@@ -229,7 +223,7 @@ class MainWindow(QMainWindow):
             self.timeline.availableChanged.connect(action.setEnabled)
             action.setEnabled(False)
 
-    def _connect_views(self) -> None:
+        # What is visible
         self.views.wantedChanged.connect(self._send_wanted)
         self.comparison.runningChanged.connect(self._show_beside)
         self.views.wipeDragged.connect(self.comparison.move_wipe)
@@ -239,8 +233,9 @@ class MainWindow(QMainWindow):
         self.panel.show_mask.clicked.connect(self._send_wanted)
         THEME.changed.connect(self._send_wanted)  # also the desktop's
         self.eyedropper.started.connect(self._show_color_image)
-        for path in self.panel.histograms:
-            self.panel.sections[path.partition(".")[0]].button.folded.connect(self._send_wanted)
+        for path in panel.histograms:
+            panel.sections[path.partition(".")[0]].button.folded.connect(self._send_wanted)
+        self._connect_actions()
 
     def _connect_actions(self) -> None:
         actions, worker, flows = self.actions_, self.worker, self.file_flows

@@ -30,7 +30,7 @@ from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ...widgets.clouds.view_camera import VIEWPOINTS
 from ...widgets.images.image_strip import ImageStrip
-from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
+from ..worker.results import CloudName, ColorBy, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
 
 TITLES = {
@@ -190,12 +190,13 @@ class ViewArea(QWidget):
         self.views[CloudName.PATCH].set_arrow(result.force_arrow_m if result.compared is None else None)
         for view in self.views.values():
             view.set_running(result.playback.playing)
-        if result.compared is not None:
-            self._show_compared(result.compared, theme)
-        else:
-            for name in result.rendered.clouds:
-                cloud, message = _shown(name, result)
-                self._show_cloud(name, cloud, message, legend_of(name, result.rendered, theme))
+        for name in sides[0].rendered.clouds:
+            (cloud, message), *right = (_shown(name, side) for side in sides)
+            legends = [legend_of(name, side.rendered, theme) for side in sides]
+            others = [entry for entry in legends[-1] if entry not in legends[0]]
+            self._show_cloud(name, cloud, message, legends[0] + others)
+            for other in right:
+                self.views[name].set_right(*other)
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
             self._any_view().refocus()
@@ -211,13 +212,6 @@ class ViewArea(QWidget):
     def set_wipe(self, wipe: Wipe | None) -> None:
         for view in self.views.values():
             view.set_wipe(wipe)
-
-    def _show_compared(self, compared: ComparedFrame, theme: ThemeName) -> None:
-        for name in compared.a.rendered.clouds:
-            (left, why_left), (right, why_right) = (_shown(name, side) for side in (compared.a, compared.b))
-            legend, other = (legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))
-            self._show_cloud(name, left, why_left, legend + [entry for entry in other if entry not in legend])
-            self.views[name].set_right(right, why_right)
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
         for name, view in self.views.items():

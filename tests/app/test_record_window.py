@@ -218,4 +218,4 @@ def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(rec
     made[0].may_close.set()
     recorder.stop("")
     recorder.close()
-    assert ends[0].status.frames == 3
+    assert ends[0][0].frames == 3

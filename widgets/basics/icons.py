@@ -37,18 +37,18 @@ class _ThemeIcon(QIconEngine):
             painter.drawPixmap(rect, self.pixmap(rect.size(), mode, state))
 
     def pixmap(self, size: QSize, mode: QIcon.Mode, state: QIcon.State) -> QPixmap:
-        return QPixmap.fromImage(_tinted(self._name, size.width(), size.height(), self._tint(mode)))
+        palette, role = QApplication.palette(), QPalette.ColorRole.ButtonText
+        color = palette.color(role)
+        if mode == QIcon.Mode.Disabled:
+            color = palette.color(QPalette.ColorGroup.Disabled, role)
+        elif mode == QIcon.Mode.Selected:
+            color = palette.color(QPalette.ColorRole.HighlightedText)
+        elif self._color:
+            color = QColor(getattr(theme_colors(), self._color))
+        return QPixmap.fromImage(_tinted(self._name, size.width(), size.height(), color.rgba()))
 
     def clone(self) -> QIconEngine:
         return _ThemeIcon(self._name, self._color)
-
-    def _tint(self, mode: QIcon.Mode) -> int:
-        palette, role = QApplication.palette(), QPalette.ColorRole.ButtonText
-        if mode == QIcon.Mode.Disabled:
-            return palette.color(QPalette.ColorGroup.Disabled, role).rgba()
-        if mode == QIcon.Mode.Selected:
-            return palette.color(QPalette.ColorRole.HighlightedText).rgba()
-        return (QColor(getattr(theme_colors(), self._color)) if self._color else palette.color(role)).rgba()
 
 
 @lru_cache(maxsize=512)

@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QPlainTextEdit,
     QPushButton,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -82,7 +81,18 @@ class Message(QFrame):
         dismiss.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         dismiss.clicked.connect(close)
         body = vbox(hbox((text, 1), vbox(dismiss, STRETCH)), margins=(8, 4, 4, 4), spacing=4)
-        answers: list[QWidget] = [self._details_button(details, body)] if details else []
+        answers: list[QWidget] = []
+        if details:
+            shown = QPlainTextEdit(details)
+            shown.setReadOnly(True)
+            shown.setMaximumHeight(160)
+            shown.hide()
+            body.addWidget(shown)
+            more = QToolButton()
+            more.setText("Details")
+            more.setCheckable(True)
+            more.toggled.connect(shown.setVisible)
+            answers.append(more)
         for name, action in offers:
             button = push_button(name, "")
             button.clicked.connect(close)
@@ -100,18 +110,6 @@ class Message(QFrame):
             self._close()
         else:
             super().keyPressEvent(event)
-
-    def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:
-        shown = QPlainTextEdit(details)
-        shown.setReadOnly(True)
-        shown.setMaximumHeight(160)
-        shown.hide()
-        body.addWidget(shown)
-        button = QToolButton()
-        button.setText("Details")
-        button.setCheckable(True)
-        button.toggled.connect(shown.setVisible)
-        return button
 
     def run(self) -> None:
         """Count the time of a note that goes by itself from now on."""

@@ -252,7 +252,8 @@ class SoftwareRenderer:
             self._rays = np.ascontiguousarray(np.moveaxis(cloud.rays[::step, ::step], 2, 0))
         if self._lut is not cloud.lut or self._background != look.background:
             self._lut, self._background = cloud.lut, look.background
-            self._colors = _packed(over_background(cloud.lut, look.background))
+            over = over_background(cloud.lut, look.background).astype(np.uint32).T
+            self._colors = np.where(over[3] > 0, over[3] << 24 | over[0] << 16 | over[1] << 8 | over[2], np.uint32(0))
         camera, size, margin = look.camera, self._point_size, 2 * self._point_size
         if self._pixels.shape != (height + margin, width + margin):
             self._pixels = np.empty((height + margin, width + margin), np.uint32)
@@ -294,12 +295,6 @@ def _step_and_size(cloud: DepthCloud, look: Look) -> tuple[int, int]:
         needed *= _SLANTED
     step = 2 if look.running and 2 * needed <= look.point_size + 1 else 1
     return step, max(look.point_size, min(math.ceil(step * needed), _MAX_CLOSING))
-
-
-def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
-    """Return an RGBA table as ARGB numbers, 0 where alpha is 0."""
-    red, green, blue, alpha = table.astype(np.uint32).T
-    return np.where(alpha > 0, alpha << 24 | red << 16 | green << 8 | blue, np.uint32(0))
 
 
 class CloudCanvas(QWidget):

@@ -113,7 +113,16 @@ class ImageStrip(QWidget):
         if rendered.size != self._size:
             self._size = rendered.size
             self.reset_view()
-        self._show_legends(rendered)
+        key = (rendered.depth_range_m, rendered.tolerance, rendered.shows_mask)
+        if key == self._legend_key:
+            return
+        self._legend_key = key
+        depth = [*depth_legend(*rendered.depth_range_m), ("no depth", QColor(*NO_VALUE_RGB))]
+        masked = [("masked", QColor(*MASKED_RGB))] if rendered.shows_mask else []
+        self.panes["color"].set_legend([("contact", QColor(*CONTACT_RGB)), *masked])
+        self.panes["proximity"].set_legend(depth)
+        self.panes["tactile"].set_legend(depth)
+        self.panes["difference"].set_legend(difference_legend(rendered.tolerance, difference_limit(rendered.tolerance)))
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide every image between two sides, or show only one."""
@@ -272,15 +281,3 @@ class ImageStrip(QWidget):
         if hint != self._hint:
             self._hint = hint
             self.wantedChanged.emit()
-
-    def _show_legends(self, rendered: RenderedStrip) -> None:
-        key = (rendered.depth_range_m, rendered.tolerance, rendered.shows_mask)
-        if key == self._legend_key:
-            return
-        self._legend_key = key
-        depth = [*depth_legend(*rendered.depth_range_m), ("no depth", QColor(*NO_VALUE_RGB))]
-        masked = [("masked", QColor(*MASKED_RGB))] if rendered.shows_mask else []
-        self.panes["color"].set_legend([("contact", QColor(*CONTACT_RGB)), *masked])
-        self.panes["proximity"].set_legend(depth)
-        self.panes["tactile"].set_legend(depth)
-        self.panes["difference"].set_legend(difference_legend(rendered.tolerance, difference_limit(rendered.tolerance)))

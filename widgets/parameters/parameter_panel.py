@@ -12,7 +12,6 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeySequence, QPalette, QShortcut
 from PyQt6.QtWidgets import QLabel, QScrollArea, QSizePolicy, QToolButton, QWidget
 
-from ...core.model.alignment import CalibrationRecord
 from ...core.preset import CONTACT_TESTS, Preset
 from ..basics.colormaps import MASKED_RGB
 from ..basics.controls import CollapsibleSection, keep_place, new_gesture, tool_button, wrapped_label
@@ -102,7 +101,15 @@ class ParameterPanel(QScrollArea):
         self._preset = preset
         for path, row in self.rows.items():
             row.show_value(preset.value(path))
-        self._show_calibration(preset.alignment.calibration)
+        record = preset.alignment.calibration
+        if record is not None:
+            points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
+            self.alignment_info.setText(
+                f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
+                f"expected error {record.quality.alignment_px:.2f} px, good for t from "
+                f"{100 * record.quality.supported_tolerance:.2f} %"
+            )
+        self.alignment_info.setVisible(record is not None)
         self._refresh()
 
     def set_baseline(self, preset: Preset | None) -> None:
@@ -181,16 +188,6 @@ class ParameterPanel(QScrollArea):
         for name, button in self.eyedroppers.items():
             button.setChecked(name == mode)
         self._escape.setEnabled(mode != "off")
-
-    def _show_calibration(self, record: CalibrationRecord | None) -> None:
-        if record is not None:
-            points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
-            self.alignment_info.setText(
-                f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
-                f"expected error {record.quality.alignment_px:.2f} px, good for t from "
-                f"{100 * record.quality.supported_tolerance:.2f} %"
-            )
-        self.alignment_info.setVisible(record is not None)
 
     # Building
 
