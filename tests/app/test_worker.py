@@ -167,15 +167,6 @@ def test_a_small_delay_is_made_up_and_a_long_one_is_not_chased():
     assert playback.wait_s(105.0) == pytest.approx(0.1)
 
 
-def test_playing_at_the_end_starts_over():
-    playback = started(length=2)
-    playback.loop = False
-    playback.shown(1, now_s=0.0)
-    playback.pause()
-    playback.play()
-    assert playback.next_index() == 0
-
-
 def test_steps_wrap_only_when_looping():
     playback = started(length=3)
     playback.shown(0, now_s=0.0)

@@ -127,20 +127,6 @@ def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, s
     qtbot.waitUntil(lambda: document.preset.alignment != before)
 
 
-def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard, scene, frames, feed, document, qtbot):
-    wizard = open_wizard()
-    state = careless(with_pairs(scene, frames, feed), sigma_px=0.3)
-    fitted(qtbot, wizard, state)
-    wizard.go_to(SAVE)
-    for _ in range(2):
-        with qtbot.waitSignal(feed.context.saveRequested):
-            QTest.mouseClick(wizard.save, LEFT)
-    fewer = state.__class__(state.snapshots, state.pairs[:4]).with_choices(snapshot=state.choices.snapshot)
-    fitted(qtbot, wizard, fewer)
-    QTest.mouseClick(wizard.save, LEFT)
-    answer_question(qtbot, "Cancel")  # four pairs do not replace what 26 gave unasked
-
-
 def test_next_and_save_wait_for_what_the_footer_says(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
     QTest.keyClick(wizard, Qt.Key.Key_PageDown, CONTROL)

@@ -160,7 +160,6 @@ def test_four_columns_are_enough(tmp_path):
     ("text", "words"),
     [
         ("", "lacks the column proximity_u"),
-        ("a,b\n1,2\n", "lacks the column proximity_u"),
         (f"{HEADER},colour\n", "column 'colour'"),
         (f"{HEADER}\n1,1,2,3,4,5\n", "line 2: there are not 7 values"),
         (f"{HEADER}\n1,1,2,3,4,5,0.3\n1,1,2,3,4,6,0.3\n", "line 3: id '1' is taken"),

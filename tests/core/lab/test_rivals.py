@@ -9,7 +9,7 @@ from tactune.core.errors import FrameError, TactuneError
 from tactune.core.lab import mechanics as module
 from tactune.core.lab.bench import synthetic_scene
 from tactune.core.lab.mechanics import MembraneMechanics
-from tactune.core.lab.methods import make_method, method_names
+from tactune.core.lab.methods import make_method
 from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only
 from tactune.core.model.clouds import deproject
 from tactune.core.model.metrics import pixel_scores
@@ -72,12 +72,8 @@ def test_points_and_mask_lie_on_the_dent(bulged):
     assert 0.5 < scores.recall < 0.8
 
 
-def test_every_method_finds_the_cup(cup_frames):
-    rig, untouched, pressed = cup_frames
-    preset = load_preset("simulator")
-    for name in method_names():
-        patch = make_method(name, preset, rig, untouched)(pressed)
-        assert pixel_scores(patch.mask, pressed.truth.contact).recall > 0.5, name
+def test_what_a_method_lacks_is_said(cup_frames):
+    rig, preset = cup_frames[0], load_preset("simulator")
     with pytest.raises(TactuneError, match="untouched"):
         make_method("proximity-only", preset, rig)
     with pytest.raises(TactuneError, match="no method 'magic'"):
