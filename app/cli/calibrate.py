@@ -78,7 +78,7 @@ def check(
     the preset's untouched frame is missing. A warning names what was not checked. A recording is searched for where
     nothing touches; the simulator removes its object for this.
     """
-    from ...core.rig.untouched import load_untouched, place_at_rest
+    from ...core.rig.untouched import load_untouched
 
     checked, origin = chosen_preset(preset, source)
     untouched = None
@@ -87,8 +87,6 @@ def check(
     with open_with_progress(source, checked) as opened:
         from ...core.rig.drift import check_rig  # after a wrong source was told
 
-        if opened.length is not None:
-            opened.seek(place_at_rest(opened, lambda share, words: None))
         found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame, untouched)
     if found.state == "unknown":
         raise CalibrationError(found.sentence)

@@ -177,8 +177,8 @@ def measure_rig(
             frames = list(counted_out(shown, _MEASURED, progress))
         warn(*found.warnings)
         noise = measure_noise(frames, opened.rig, chosen, found.frame, progress.preparing)
-    if len(frames) < _MEASURED:
-        warn(f"the source has only {len(frames)} of the {_MEASURED} frames to measure")
+    if noise.frames < _MEASURED:
+        warn(f"the source has only {noise.frames} of the {_MEASURED} frames to measure at rest")
     say("\n".join(describe(noise)))
     _keep(chosen.with_value("noise", noise.model_dump()), origin, target)
 

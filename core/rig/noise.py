@@ -74,8 +74,8 @@ def measure_noise(
     Parameters
     ----------
     frames : sequence of SensorFrame
-        At least 10 different frames of a scene at rest, 60 for an accurate result. Depth images are uint16, (H, W), raw
-        counts, at least 64 x 64 pixels.
+        At least 10 different frames of a scene at rest, 60 for an accurate result. Of others as many as are at rest at
+        their beginning, in steps of a third. Depth images are uint16, (H, W), raw counts, at least 64 x 64 pixels.
     rig : Rig
     preset : Preset
         Its alignment relates both depths; its mask shows the prints that both cameras see.
@@ -105,9 +105,7 @@ def measure_noise(
     for frame in (*different, *([untouched] if untouched is not None else [])):
         frame.check_against(rig)
     report(0.0, "Looking for movement")
-    _refuse_movement("tactile", [frame.tactile_depth for frame in different], rig.tactile)
-    if rig.has_proximity:
-        _refuse_movement("proximity", [frame.proximity_depth for frame in different], rig.proximity)
+    different = _at_rest(different, rig)
     proximity, tactile = depth_noises(different, rig, lambda share, words: report(0.1 + 0.7 * share, words))
     report(0.8, "Measuring the bias")
     noise = RigNoise(proximity=proximity, tactile=tactile, measured=now(), frames=len(different))
@@ -199,7 +197,8 @@ def _camera_noise(
     # What changes tells the length first: the windows over which surfaces are fitted must be larger.
     words = f"Measuring the {role} noise"
     smooth = np.where(good, growth, np.float32(np.nan))
-    changing = _changing_autocovariances(depths, smooth, lambda share: progress(share, words))
+    least_m = camera.depth_unit_m / 2
+    changing = _changing_autocovariances(depths, smooth, least_m, lambda share: progress(share, words))
     (white_changing, shared_changing, *_), length_px = _fit_noise(changing)
     if shared_changing <= _MIN_CORRELATED * (white_changing + shared_changing):
         length_px = 0.0
@@ -247,9 +246,12 @@ def _growth(mean: Float32Array, deviation: Float32Array, seen: BoolArray, distan
 
 
 def _changing_autocovariances(
-    depths: Float32Array, growth: Float32Array, report: Callable[[float], None]
+    depths: Float32Array, growth: Float32Array, least_m: float, report: Callable[[float], None]
 ) -> Autocovariances:
-    """Return the autocovariances of the part that changes; ``growth`` is nan where pixels are left out."""
+    """Return the autocovariances of the part that changes; ``growth`` is nan where pixels are left out.
+
+    Of coarse depth most differences are 0: those of a count are no outliers, so ``least_m`` is the least spread.
+    """
     rows = []
     for number, (before, after) in enumerate(pairwise(depths)):
         report(number / len(depths))
@@ -257,7 +259,7 @@ def _changing_autocovariances(
         if not np.isfinite(noise).any():
             continue  # a frame without depth
         noise -= np.nanmedian(noise)
-        limit = _TRIM * spread(noise) + 1e-9
+        limit = _TRIM * max(spread(noise), least_m)
         rows.append(_autocovariances(np.where(np.abs(noise) <= limit, noise, np.nan)) / 2)
     return _with_errors(np.asarray(rows))
 
@@ -390,6 +392,19 @@ def _quadratics(tile_px: int) -> Float64Array:
     y, x = np.mgrid[-1 : 1 : 1j * tile_px, -1 : 1 : 1j * tile_px]
     columns = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2).reshape(-1, 6)
     return np.linalg.qr(columns)[0].reshape(tile_px, tile_px, 6)
+
+
+def _at_rest(frames: list[SensorFrame], rig: Rig) -> list[SensorFrame]:
+    """Return the frames, or fewer of their beginning: in a recording a press follows; raise if these move, too."""
+    try:
+        _refuse_movement("tactile", [frame.tactile_depth for frame in frames], rig.tactile)
+        if rig.has_proximity:
+            _refuse_movement("proximity", [frame.proximity_depth for frame in frames], rig.proximity)
+    except FrameError:
+        if len(frames) == MIN_FRAMES:
+            raise
+        return _at_rest(frames[: max(2 * len(frames) // 3, MIN_FRAMES)], rig)
+    return frames
 
 
 def _refuse_movement(role: CameraRole, images: Sequence[Uint16Array], camera: DepthCamera) -> None:

@@ -143,10 +143,15 @@ def untouched_frame(source: FrameSource, progress: Progress | None = None) -> Se
 def frames_to_average(
     source: FrameSource, count: int, progress: Progress | None = None
 ) -> Iterator[Iterable[SensorFrame]]:
-    """Yield the next ``count`` frames of a source, without the simulator's object, which repeats them as needed."""
+    """Yield ``count`` frames of a source at rest, without the simulator's object, which repeats them as needed.
+
+    A recording is searched for where nothing touches the membrane; of other sources these are the next frames.
+    """
     from ..sources.simulator.simulator_source import SimulatorSource  # on demand: other sources need not wait for it
 
     if not isinstance(source, SimulatorSource):
+        if source.length is not None:
+            source.seek(place_at_rest(source, progress or (lambda share, words: None)))
         yield islice(source, count)
         return
     with source.with_object_away(progress) as away:
@@ -176,11 +181,14 @@ def place_at_rest(source: FrameSource, progress: Progress) -> int:
     still = [run for run in runs if run[1] >= _STILL_PLACES] or [(int(np.argmax(mean)), 0)]
     farthest = max(mean[start] for start, _ in still)
     start, count = max((run for run in still if mean[run[0]] >= _AS_FAR * farthest), key=lambda run: run[1])
-    return int(places[start + min(1, count)])
+    return int(places[start + min(1, count, start)])  # the first may still move, unless the recording begins with it
 
 
 def tile_medians(counts: Uint16Array) -> Float64Array:
-    """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth."""
+    """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth.
+
+    Interpolated within a count, which is a large step of coarse depth: 0.7 % of the distance in mm at 140 mm.
+    """
     height, width = (size // TILE_PX * TILE_PX for size in counts.shape)
     tiles = counts[:height, :width].reshape(height // TILE_PX, TILE_PX, width // TILE_PX, TILE_PX)
     pixels = tiles.swapaxes(1, 2).reshape(-1, TILE_PX**2)
@@ -188,6 +196,8 @@ def tile_medians(counts: Uint16Array) -> Float64Array:
     ordered = np.sort(np.where(valid, pixels, np.uint16(65535)), axis=1)
     known = valid.sum(axis=1)
     medians = ordered[np.arange(len(ordered)), np.maximum(known - 1, 0) // 2].astype(np.float64)
+    below, up_to = ((compare(ordered, medians[:, None])).sum(axis=1) for compare in (np.less, np.less_equal))
+    medians += (known / 2 - below) / (up_to - below) - 0.5
     return np.where(known >= TILE_PX**2 // 2, medians, np.nan)
 
 

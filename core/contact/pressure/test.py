@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ...errors import RigMismatchError
-from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, median
+from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array, median
 from ...model.clouds import valid_depth
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
@@ -189,8 +189,12 @@ class PressureTest(ContactTest):
         return image
 
 
-#: Twice the mean curvature of an inflated membrane, at least: the apex of one of 200 mm then stands out by 2.5 mm.
-_MIN_CURVATURE_PER_M: Final = 1.0
+#: Twice the mean curvature of an inflated membrane, at least: the apex of one of 200 mm then stands out by 2.5 mm; and
+#: the share of what the camera sees that bulges so, at least.
+_MIN_CURVATURE_PER_M, _MIN_BULGING = 1.0, 0.1
+#: Less than this share of the usual curvature is hardly any, and no membrane where a part of what the camera sees, at
+#: least of the second share, has it in this window, cells.
+_HARDLY, _BESIDE_SHARE, _WIDE_WINDOW = 0.2, 0.01, 4.0
 
 
 class _Rest:
@@ -209,13 +213,28 @@ class _Rest:
         if seen:
             self.grid: Grid = surface.Grid.of(lens, counts)
             self.numbers = self.grid.numbers(counts.shape)
-            depth_m, share = surface.cells(counts, self.unit_m, self.offset_m, self.grid)
+            self._beside = np.zeros_like(self.grid.x, np.bool_)
+            depth_m, share = self.cells(counts)
             seen = (share > 0).any()
         if not seen:
             raise RigMismatchError(
                 "the untouched frame has too little tactile depth for the contact test pressure to compare with; "
                 "capture it again"
             )
+        wide = surface.curvature(surface.fit(depth_m, share, _WIDE_WINDOW), self.grid)[0]
+        bulging = wide > _MIN_CURVATURE_PER_M
+        if not np.count_nonzero(bulging) > _MIN_BULGING * np.count_nonzero(share):
+            raise RigMismatchError(
+                "the membrane is flat in the untouched frame, so no pressure can be told from its curvature; inflate "
+                "it and capture the frame again"
+            )
+        self.curvature_per_m = float(np.median(wide[bulging]))
+        # a rim or a wall of the sensor that goes on from the membrane: large parts that do not bulge
+        flat, part = wide < _HARDLY * self.curvature_per_m, round(_BESIDE_SHARE * np.count_nonzero(share))
+        if (beside := _parts_with(flat, flat, part)).any():
+            self._beside = beside
+            depth_m, share = self.cells(counts)
+            wide = surface.curvature(surface.fit(depth_m, share, _WIDE_WINDOW), self.grid)[0]
         distance_m = float(np.median(depth_m[share > 0]))
         self.cell_m = distance_m * self.grid.side[0]
         self.noise_known = preset.noise is not None
@@ -227,14 +246,6 @@ class _Rest:
             left = (depth_m - first.fit[0])[np.isfinite(first.fit[0]) & (share > 0)]
             spread_m = 1.48 * float(np.median(np.abs(left))) if len(left) else 0.0
             self.density_m4 = (_GUESSED * spread_m * self.cell_m) ** 2
-        wide = surface.curvature(surface.fit(depth_m, share, 4.0), self.grid)[0]
-        curved = wide[np.isfinite(wide)]
-        self.curvature_per_m = float(np.median(curved)) if len(curved) else math.nan
-        if not self.curvature_per_m > _MIN_CURVATURE_PER_M:
-            raise RigMismatchError(
-                "the membrane is flat in the untouched frame, so no pressure can be told from its curvature; inflate "
-                "it and capture the frame again"
-            )
         # twice the mean curvature has this standard deviation over the cube of the window's sigma
         noise_m2 = math.sqrt(self.density_m4 / (2 * math.pi))
         window = (noise_m2 / (preset.pressure.noise * self.curvature_per_m)) ** (1 / 3) / self.cell_m
@@ -247,7 +258,14 @@ class _Rest:
         #: must not look like pressure.
         self.usual_per_m = np.where(np.isfinite(wide), wide, self.fine.bulge_per_m)
         #: The same; nan where the membrane hardly bulges, so that no pressure is known.
-        self.bulging_per_m = np.where(self.usual_per_m > 0.2 * self.curvature_per_m, self.usual_per_m, np.nan)
+        self.bulging_per_m = np.where(self.usual_per_m > _HARDLY * self.curvature_per_m, self.usual_per_m, np.nan)
+
+    def cells(self, counts: Uint16Array) -> Cells:
+        """Return the depth of the membrane's cells, without what is beside it, and the share of pixels with depth."""
+        from . import surface
+
+        depth_m, share = surface.cells(counts, self.unit_m, self.offset_m, self.grid)
+        return np.where(self._beside, 0.0, depth_m), np.where(self._beside, 0.0, share)
 
 
 class _Scale:
@@ -281,7 +299,7 @@ class _Now:
         from . import surface
 
         self._rest = rest
-        self._cells = surface.cells(frame.tactile_depth, rest.unit_m, rest.offset_m, rest.grid)
+        self._cells = rest.cells(frame.tactile_depth)
         self._shape, self.bulge_per_m, ratio, sigma = rest.fine.compare(self._cells, rest.bulging_per_m)
         self._fine: Lazy[Shape] = Lazy(lambda: surface.fit(*self._cells, _FINE_WINDOW, curved=False))
         self._moved_m = rest.fine.shape.fit[0] - self._shape.fit[0]

@@ -44,7 +44,7 @@ def pressed():
     return source.rig, preset, frame, untouched
 
 
-def bubble(rig, radius_m, apex_m=0.3, ball_m=1.0, contact_m=0.0):
+def bubble(rig, radius_m, apex_m=0.3, ball_m=1.0, contact_m=0.0, rim=False):
     """A membrane of constant tension on a round rim: free, a part of a sphere whose farthest point is at a depth.
 
     With a ball pressed into it: r sin(slope) = r^2 / ball_m where they touch, constant - r^2 / radius_m beyond.
@@ -56,7 +56,7 @@ def bubble(rig, radius_m, apex_m=0.3, ball_m=1.0, contact_m=0.0):
     depth = rise - rise[-1] + apex_m - radius_m + np.sqrt(radius_m**2 - r[-1] ** 2)
     v, u = np.mgrid[: lens.height, : lens.width]
     rays = np.hypot(*lens.normalise(np.stack([u, v], -1).reshape(-1, 2)).T).reshape(lens.shape)
-    seen = np.interp(rays, r / depth, depth, right=0)
+    seen = np.interp(rays, r / depth, depth, right=depth[-1] if rim else 0)
     return SensorFrame.of_shots(rig, 0, None, Shot(np.rint(seen / 1e-4).astype(np.uint16), None, 0.0))
 
 
@@ -110,6 +110,15 @@ def test_what_the_camera_sees_beside_the_membrane_adds_no_force():
     beside = ContactPipeline(PRESSURE, rig, with_room[0]).process(with_room[1])
     assert beside.pressure.force_mm2 == pytest.approx(alone.pressure.force_mm2, rel=0.01, abs=1)
     assert beside.area_mm2 == pytest.approx(alone.area_mm2, rel=0.01)
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.15])  # most of the image; its corners
+def test_a_flat_rim_around_the_membrane_changes_nothing(radius_m):
+    rig = Rig.of_one_camera(simulator_rig().tactile)
+    views = ((bubble(rig, radius_m, rim=rim), bubble(rig, radius_m, 0.3, 0.05, 0.02, rim)) for rim in (False, True))
+    alone, within = (ContactPipeline(PRESSURE, rig, rest).process(now) for rest, now in views)
+    assert within.pressure.force_mm2 == pytest.approx(alone.pressure.force_mm2, rel=0.01, abs=1)
+    assert within.area_mm2 == pytest.approx(alone.area_mm2, rel=0.02)
 
 
 def test_force_and_contact_of_a_press_follow_the_solver(pressed):

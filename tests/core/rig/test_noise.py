@@ -11,7 +11,7 @@ import pytest
 from rigs import one_place_rig
 from side_by_side import HEIGHT, WIDTH, counts, rig
 from tactune.core.errors import FrameError
-from tactune.core.model.frames import SensorFrame
+from tactune.core.model.frames import Rig, SensorFrame, Shot
 from tactune.core.preset import Preset
 from tactune.core.rig import noise as noise_module
 from tactune.core.rig.bias import print_bias, scene_bias
@@ -88,6 +88,21 @@ def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still, pressed_is):
     assert (noise.bias_per_m, noise.frames) == (0.0, 40)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
+
+
+def test_of_a_recording_the_frames_before_a_press_are_measured(rig, preset, still):
+    pressed = [wall(rig, index, tactile_m=0.29) for index in range(40, 60)]
+    assert measure_noise([*still, *pressed], rig, preset).frames == 40
+
+
+def test_noise_of_depth_in_millimetres_is_not_lost(preset):
+    """Most pixels then have the same count twice."""
+    rig = Rig.of_one_camera(one_place_rig(WIDTH, HEIGHT, 90.0, tactile_unit_m=0.001).tactile)
+    depths = [np.rint(1000 * (0.13 + field(index, 0.0002, 0.0003, 2.0))).astype(np.uint16) for index in range(20)]
+    frames = [SensorFrame.of_shots(rig, index, None, Shot(depth, None, 0.0)) for index, depth in enumerate(depths)]
+    noise = measure_noise(frames, rig, preset).tactile
+    assert noise.total_m == pytest.approx(np.std(depths) / 1000, rel=0.1)
+    assert noise.changing_share > 0.9
 
 
 def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):

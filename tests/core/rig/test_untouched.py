@@ -14,7 +14,13 @@ from tactune.core.model.frames import SensorFrame
 from tactune.core.output.writer import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
-from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, place_at_rest, save_untouched
+from tactune.core.rig.untouched import (
+    average_untouched,
+    find_untouched,
+    frames_to_average,
+    load_untouched,
+    save_untouched,
+)
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.tactune_files import McapSource
@@ -73,6 +79,13 @@ def test_something_that_touches_meanwhile_is_refused(counts, size, refused):
 def test_noise_that_neighbours_share_is_no_movement():
     with open_source("sim:cup?press=none&sensor=heavy") as source:
         assert average_untouched(itertools.islice(source, 5)).frames == 5
+
+
+def test_noise_of_depth_in_millimetres_is_no_movement():
+    """The median of a tile between two counts falls to one or the other: 0.7 % of the depth."""
+    noise = np.random.default_rng(0).normal(140.5, 0.4, (5, HEIGHT, WIDTH)).round().astype(np.uint16)
+    frames = [replace(untouched_image(index), tactile_depth=noise[index]) for index in range(5)]
+    assert average_untouched(frames).frames == 5
 
 
 # The file
@@ -153,5 +166,5 @@ def test_a_recording_is_searched_for_its_longest_rest(length, slow):
         depth[32:] += pushed // 10
         return replace(frame, tactile_depth=depth.astype(np.uint16))
 
-    place = place_at_rest(FakeSource(length, make=make), lambda share, words: None)
-    assert 9 * slow <= place <= 15 * slow
+    with frames_to_average(FakeSource(length, make=make), 1) as (first,):
+        assert 9 * slow <= first.sequence <= 15 * slow
