@@ -252,11 +252,11 @@ def see_through(
 
 
 @compiled
-def _sample(texture: Uint8Array, channel: int, x: float, y: float, texel: float) -> float:
+def _sample(texture: Uint8Array, channel: int, x: float, y: float) -> float:
     """Return a texture's value, 0 to 1, bilinearly; the origin is its centre."""
     rows, columns = texture.shape[0], texture.shape[1]
-    s = min(max(x / texel + 0.5 * (columns - 1), 0.0), columns - 1.001)
-    t = min(max(y / texel + 0.5 * (rows - 1), 0.0), rows - 1.001)
+    s = min(max(x / TEXEL_M + 0.5 * (columns - 1), 0.0), columns - 1.001)
+    t = min(max(y / TEXEL_M + 0.5 * (rows - 1), 0.0), rows - 1.001)
     i, j = int(s), int(t)
     fs, ft = s - i, t - j
     upper = (1.0 - fs) * texture[j, i, channel] + fs * texture[j, i + 1, channel]
@@ -296,7 +296,6 @@ def shade(
     pose: Float64Array,
     tint: Float64Array,
     texture: Uint8Array,
-    texel: float,
     gamma: Uint8Array,
     image: Uint8Array,
 ) -> None:
@@ -320,8 +319,8 @@ def shade(
             y = r[0, 1] * cx + r[1, 1] * cy + r[2, 1] * cz
             w = r[0, 2] * cx + r[1, 2] * cy + r[2, 2] * cz
             share = _FILM_SHARE * _seen_through_film(kind, pose, x, y, w, dx, dy, dz)
-            dye = 0.94 * _sample(texture, 0, attributes[v, u, 0], attributes[v, u, 1], texel)
-            print_ = _sample(texture, 1, attributes[v, u, 0], attributes[v, u, 1], texel)
+            dye = 0.94 * _sample(texture, 0, attributes[v, u, 0], attributes[v, u, 1])
+            print_ = _sample(texture, 1, attributes[v, u, 0], attributes[v, u, 1])
             # A ring of lamps around the cameras, 0.25 m below the rim's plane.
             lz = w + 0.25
             far2 = x * x + y * y + lz * lz
@@ -336,7 +335,7 @@ def shade(
 
 
 @compiled
-def flag(behind: Float32Array, attributes: Float32Array, texture: Uint8Array, texel: float, flags: Uint8Array) -> None:
+def flag(behind: Float32Array, attributes: Float32Array, texture: Uint8Array, flags: Uint8Array) -> None:
     """Mark contact, steps of depth and infrared-reflective rubber in the proximity image."""
     height, width = behind.shape
     for v in range(height):
@@ -348,7 +347,7 @@ def flag(behind: Float32Array, attributes: Float32Array, texture: Uint8Array, te
             bits = 0
             if attributes[v, u, 2] >= 0.5:
                 bits |= CONTACT_FLAG
-            if _sample(texture, 1, attributes[v, u, 0], attributes[v, u, 1], texel) >= 0.5:
+            if _sample(texture, 1, attributes[v, u, 0], attributes[v, u, 1]) >= 0.5:
                 bits |= REFLECTIVE_FLAG
             for dv in range(-1, 2):
                 for du in range(-1, 2):

@@ -218,7 +218,7 @@ class Press:
         behind, cosine = np.empty_like(sheets[0].depth), np.empty(sheets[0].depth.shape, dtype=np.uint8)
         render.see_through(near.pose, near.pinhole, sheets[0].depth, kind, pose, np.array(_BACKDROP), behind, cosine)
         flags = np.empty_like(cosine)
-        render.flag(behind, sheets[0].attributes, self._sheet, render.TEXEL_M, flags)
+        render.flag(behind, sheets[0].attributes, self._sheet, flags)
         return CleanState(
             behind=_counts(behind),
             membrane=_counts(sheets[0].depth),
@@ -241,7 +241,6 @@ class Press:
             pose,
             np.array(self.pressed.colour),
             self._sheet,
-            render.TEXEL_M,
             self._gamma,
             image,
         )
