@@ -42,6 +42,9 @@ _CUT_POWER: Final = 4
 _FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
+#: What lies this many cells behind contact up to the third number of cells away, and more steeply than the second, is
+#: the membrane that the camera sees past a deep dent. No depth is as large as the last, metres.
+_BEHIND, _STEEP, _PAST, _NOWHERE_M = 2.0, 1.5, 12, 1000.0
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
 #: around tells its tension.
 _MARGIN, _RAMP, _REACH = 2.0, 3.0, 10.0
@@ -102,12 +105,13 @@ class PressureTest(ContactTest):
         if due("contact"):
             self._inside = now.contact(preset.pressure)
             self._touching = self._inside > 0
+            self._farthest = now.farthest(self._touching)
             self._seen = NO_CANDIDATES
             if self._touching.any():
                 within = None if pixels.rig.has_proximity else rest.grid.around(self._touching)
                 self._seen = pixels.candidates(frame, _BOTH_SHARE, within)
             places = pixels.tactile_pixels(self._seen.pixels, frame)
-            inside = self._in_cells(self._inside, places)
+            inside = self._in_contact(self._inside, self._farthest, frame)[places]
             self._pressed, self._places = keep(self._seen, inside), places[inside]
         if due("clusters"):
             pressed, camera, min_mm2 = self._pressed, pixels.rig.proximity.intrinsics, preset.pressure.min_area_mm2
@@ -118,15 +122,16 @@ class PressureTest(ContactTest):
             held.reshape(-1)[rest.numbers[self._kept]] = True
             touching = _parts_with(self._touching, held)
             self._facts = self._facts_of(now, touching, self._contact, frame, preset.pressure)
-        groups = self._inside, self._seen, self._pressed, self._contact
+        groups = self._inside, self._farthest, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
-    def _in_cells(self, cells: Float64Array, places: IndexArray) -> BoolArray:
-        """Return at which flat tactile pixels a level of the cells is above 0."""
+    def _in_contact(self, cells: Float64Array, farthest: Float64Array, frame: SensorFrame) -> BoolArray:
+        """Return at which tactile pixels, flat, a level of the cells is above 0 and the depth is not beyond another."""
         assert self._rest is not None
-        inside = np.zeros(self.pixels.rig.tactile.intrinsics.shape, np.bool_)
-        inside[self._rest.grid.pixels] = self._rest.grid.on_pixels(cells) > 0
-        return inside.reshape(-1)[places]
+        grid, counts = self._rest.grid, frame.tactile_depth
+        inside = np.zeros(counts.shape, np.bool_)
+        inside[grid.pixels] = (grid.on_pixels(cells) > 0) & (counts[grid.pixels] < grid.on_pixels(farthest))
+        return inside.reshape(-1)
 
     def _facts_of(
         self, now: _Now, touching: BoolArray, contact: Candidates, frame: SensorFrame, section: PressureSection
@@ -177,12 +182,18 @@ class PressureTest(ContactTest):
         )
 
     def _provenance(
-        self, frame: SensorFrame, cells: Float64Array, seen: Candidates, pressed: Candidates, contact: Candidates
+        self,
+        frame: SensorFrame,
+        cells: Float64Array,
+        farthest: Float64Array,
+        seen: Candidates,
+        pressed: Candidates,
+        contact: Candidates,
     ) -> Uint8Array:
         image = self.pixels.classify(frame)
         verdicts = image.reshape(-1)
         known = np.flatnonzero(verdicts == Provenance.CONTACT)
-        inside = self._in_cells(cells, self.pixels.tactile_pixels(known, frame))
+        inside = self._in_contact(cells, farthest, frame)[self.pixels.tactile_pixels(known, frame)]
         verdicts[known] = np.where(inside, Provenance.MASKED, Provenance.OUTSIDE_TOLERANCE)
         verdicts[pressed.pixels] = Provenance.SMALL_CLUSTER
         verdicts[contact.pixels] = Provenance.CONTACT
@@ -352,6 +363,16 @@ class _Now:
             near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
             inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
         return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
+
+    def farthest(self, touching: BoolArray) -> Float64Array:
+        """Return for each cell the raw depth beyond which nothing is contact, but membrane that is seen past a dent."""
+        import cv2
+
+        rest, (depth_m, share) = self._rest, self._cells
+        near = np.where(touching & (share > 0), depth_m, _NOWHERE_M)
+        for _ in range(_PAST):
+            near = np.minimum(near, cv2.erode(near, np.ones((3, 3), np.uint8)) + _STEEP * rest.cell_m)
+        return np.asarray((near + _BEHIND * rest.cell_m - rest.offset_m) / rest.unit_m)
 
     def _sigmas_in_wide_windows(self) -> Float64Array:
         """Return the contact pressure over its noise in windows of twice the size.

@@ -7,15 +7,17 @@ import cv2
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
+from scipy.spatial import cKDTree
 
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.contact.pressure import surface
 from tactune.core.errors import RigMismatchError
 from tactune.core.lab import table
+from tactune.core.lab.single_camera import pressure as seen_alone
 from tactune.core.lab.single_camera import tactile_only
 from tactune.core.lab.table import measured_rig
 from tactune.core.model.frames import Rig, SensorFrame, Shot
-from tactune.core.model.metrics import pixel_scores
+from tactune.core.model.metrics import pixel_scores, true_contact
 from tactune.core.model.patch import Provenance
 from tactune.core.output.writer import export_mcap
 from tactune.core.rig.untouched import untouched_frame
@@ -96,6 +98,15 @@ def test_a_ball_in_a_membrane_of_constant_tension_has_the_force_and_contact_of_t
     weight = np.clip((0.07 - depth_m * np.hypot(grid.x, grid.y)) / 0.02, 0, 1)
     air, pull, _ = surface.balance(grid.points(depth_m), weight, np.zeros_like(weight))
     assert gauge_pa * (pull * radius_m / 2 - air) == pytest.approx((0, 0, -force_n), abs=0.02 * force_n)
+
+
+def test_the_membrane_that_is_seen_past_a_deep_dent_is_no_contact():
+    with open_source("sim:cup?press=high&side=right") as source:
+        frame, untouched, preset = source.next_frame(), untouched_frame(source), measured_rig(PRESSURE, source)
+    patch = seen_alone(preset, source.rig, untouched)(frame)
+    away_m = cKDTree(true_contact(frame, source.rig)[0]).query(patch.points)[0]
+    assert np.mean(away_m > 0.012) < 0.005
+    assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.7
 
 
 def test_what_the_camera_sees_beside_the_membrane_adds_no_force():
