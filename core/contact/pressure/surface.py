@@ -53,13 +53,13 @@ class Grid(NamedTuple):
         rows, columns = (slice(CELL_PX * first, CELL_PX * end) for first, end in ranges)
         return cls(rays[..., 0], rays[..., 1], (CELL_PX / lens.fx, CELL_PX / lens.fy), (rows, columns))
 
-    def on_pixels(self, values: Float64Array) -> Float32Array:
+    def on_pixels(self, values: Float64Array | Float32Array) -> Float32Array:
         """Return values of the cells on the pixels that the cells cover, interpolated."""
         import cv2
 
         rows, columns = self.pixels
         size = columns.stop - columns.start, rows.stop - rows.start
-        return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_LINEAR))
+        return np.asarray(cv2.resize(values.astype(np.float32, copy=False), size, interpolation=cv2.INTER_LINEAR))
 
     def numbers(self, shape: tuple[int, int]) -> Int32Array:
         """Return the flat number of each pixel's cell, flat; 0 beyond the cells."""

@@ -42,9 +42,10 @@ _CUT_POWER: Final = 4
 _FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
-#: What lies this many cells behind contact up to the third number of cells away, and more steeply than the second, is
-#: the membrane that the camera sees past a deep dent. No depth is as large as the last, metres.
-_BEHIND, _STEEP, _PAST, _NOWHERE_M = 2.0, 1.5, 12, 1000.0
+#: What lies this many cells behind contact, and more steeply than the second around it, is the membrane that the camera
+#: sees past a deep dent. It is looked for in steps of so many cells.
+_BEHIND, _STEEP, _PAST = 2.0, 1.5, (1, 1, 2, 2, 2, 2, 2)
+_NOWHERE_M: Final = 1000.0  # Farther than any depth
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
 #: around tells its tension.
 _MARGIN, _RAMP, _REACH = 2.0, 3.0, 10.0
@@ -125,7 +126,7 @@ class PressureTest(ContactTest):
         groups = self._inside, self._farthest, self._seen, self._pressed, self._contact
         return Found(self._contact, lambda: self._provenance(frame, *groups), pressure=self._facts)
 
-    def _in_contact(self, cells: Float64Array, farthest: Float64Array, frame: SensorFrame) -> BoolArray:
+    def _in_contact(self, cells: Float64Array, farthest: Float32Array, frame: SensorFrame) -> BoolArray:
         """Return at which tactile pixels, flat, a level of the cells is above 0 and the depth is not beyond another."""
         assert self._rest is not None
         grid, counts = self._rest.grid, frame.tactile_depth
@@ -185,7 +186,7 @@ class PressureTest(ContactTest):
         self,
         frame: SensorFrame,
         cells: Float64Array,
-        farthest: Float64Array,
+        farthest: Float32Array,
         seen: Candidates,
         pressed: Candidates,
         contact: Candidates,
@@ -364,15 +365,16 @@ class _Now:
             inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
         return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
 
-    def farthest(self, touching: BoolArray) -> Float64Array:
+    def farthest(self, touching: BoolArray) -> Float32Array:
         """Return for each cell the raw depth beyond which nothing is contact, but membrane that is seen past a dent."""
         import cv2
 
-        rest, (depth_m, share) = self._rest, self._cells
-        near = np.where(touching & (share > 0), depth_m, _NOWHERE_M)
-        for _ in range(_PAST):
-            near = np.minimum(near, cv2.erode(near, np.ones((3, 3), np.uint8)) + _STEEP * rest.cell_m)
-        return np.asarray((near + _BEHIND * rest.cell_m - rest.offset_m) / rest.unit_m)
+        (depth_m, share), cell_m = self._cells, self._rest.cell_m
+        near = np.where(touching & (share > 0), depth_m, _NOWHERE_M).astype(np.float32)
+        for step in _PAST:
+            around = np.ones((2 * step + 1, 2 * step + 1), np.uint8)
+            near = np.minimum(near, cv2.erode(near, around) + np.float32(step * _STEEP * cell_m))
+        return np.asarray((near + _BEHIND * cell_m - self._rest.offset_m) / self._rest.unit_m)
 
     def _sigmas_in_wide_windows(self) -> Float64Array:
         """Return the contact pressure over its noise in windows of twice the size.
