@@ -245,6 +245,8 @@ class SetUpPanel(QWidget):
         if found:
             self._again.discard(row)
             row.skipped = False
+        else:
+            self.press.clear()  # the next try looks at another one
         self.running = self.running and (found or row.skipped)
         if self.running:
             QTimer.singleShot(0, self._advance)

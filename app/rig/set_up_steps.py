@@ -144,7 +144,8 @@ class PressStep(SetUpStep):
         self._press = press
         self._untouched: SensorFrame | None = None
         self._free_m: Float64Array | None = None
-        self._newest: SensorFrame  # pressed or not
+        self._firmest: SensorFrame  # with the deepest dent, metres: what there is where no press is firm
+        self._deepest_m = -np.inf
         #: Only the newest frames of a press stay in memory, however long it takes.
         self._pressed: deque[SensorFrame] = deque(maxlen=_HELD_FRAMES)
 
@@ -157,6 +158,7 @@ class PressStep(SetUpStep):
     def prepared(self, found: SensorFrame | None) -> None:
         assert self.info is not None
         self._pressed.clear()
+        self._deepest_m = -np.inf
         self._untouched, self._free_m = found, None
         if found is not None:
             self._free_m = tile_medians(found.tactile_depth) * self.info.rig.tactile.depth_unit_m
@@ -164,11 +166,13 @@ class PressStep(SetUpStep):
     def keep(self, frame: SensorFrame) -> _Look:
         assert self.info is not None
         tiles_m = tile_medians(frame.tactile_depth) * self.info.rig.tactile.depth_unit_m
-        pressed, released = True, False
+        pressed, released, deepest_m = True, False, 0.0
         if self._free_m is not None:
             nearer_m = self._free_m - tiles_m
             pressed, released = (bool(np.mean(sign * nearer_m > _DENT_M) > _DENTED) for sign in (1, -1))
-        self._newest = frame
+            deepest_m = float(np.nanpercentile(nearer_m, 99))
+        if deepest_m >= self._deepest_m:
+            self._firmest, self._deepest_m = frame, deepest_m
         if pressed:
             self._pressed.append(frame)
         return _Look(tiles_m, pressed, released)
@@ -178,7 +182,7 @@ class PressStep(SetUpStep):
 
     def work(self, kept: list[Any], info: SourceInfo) -> Work:
         if not self.at_hand():
-            self._press[:] = [*self._pressed][-len(_held(kept)) :] or [self._newest]
+            self._press[:] = [*self._pressed][-len(_held(kept)) :] or [self._firmest]
         return self.measure(tuple(self._press), info)
 
     def measure(self, pressed: tuple[SensorFrame, ...], info: SourceInfo) -> Work:

@@ -186,8 +186,9 @@ class FindingsControl(QObject):
             self._view.notice.offer("")
             return
         explaining = next((finding for finding in self._shown.values() if finding.explains_empty), None)
+        said = result.problem or result.rendered.no_contact
+        self._view.set_message(said if explaining is None else explaining.sentence)
         if explaining is not None:
-            self._view.set_message(explaining.sentence)
             self._offered = explaining
         elif result.problem == as_sentence(UNKNOWN_POSE):
             self._offered = Finding("no_pose", "", result.problem, action="calibrate")

@@ -55,6 +55,9 @@ def test_the_button_in_the_empty_view_chooses_pressure_and_one_undo_takes_it_bac
     qtbot.waitUntil(lambda: window.result.frame.sequence == 0 and len(window.result.patch.points) == 0)
     window.document.undo_stack.undo()
     assert window.document.preset.contact_test == "tolerance"
+    qtbot.waitUntil(lambda: "tactile camera only" in patch_view(window).notice.text())
+    window.document.undo_stack.redo()
+    qtbot.waitUntil(lambda: "No contact yet" in patch_view(window).notice.text())
 
 
 def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouched_source):

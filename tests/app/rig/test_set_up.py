@@ -106,6 +106,21 @@ def test_only_a_press_that_is_held_still_is_worked_on(qtbot, set_up):
     assert share(0.001) < 0.5
 
 
+def test_without_a_firm_press_the_deepest_dent_is_worked_on(set_up, qtbot):
+    show_source(qtbot, set_up.window_, FakeSource(), 0)
+    step, free = set_up.suggestions.work, tiny_frame(0, tiny_rig())
+    step.info = set_up.window_.result.source
+    step.prepared(free)
+    for number, counts in enumerate((0, 30, 10)):
+        depth = free.tactile_depth.copy()
+        depth[:16, :16] -= counts
+        step.keep(replace(free, sequence=number, tactile_depth=depth))
+    step.work([], step.info)
+    assert [frame.sequence for frame in set_up.press] == [1]
+    step.ended.emit(False)
+    assert not set_up.press, "the next try takes another press"
+
+
 def failed(panel):
     """The row at which the run has stopped."""
     [row] = [row for row in panel.rows if row.mark.text() == "!"]
