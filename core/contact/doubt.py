@@ -49,9 +49,8 @@ _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
 _MANY_UNSEEN, _MANY_LOST, _NOISIER = 0.06, 0.1, 1.35
 #: Of the inflation when it was untouched, the share below which the membrane counts as deflated.
 _DEFLATED: Final = 0.1
-#: Contact pressure from this many standard deviations on adds no doubt; below the second it is said. The boundary's
-#: error as a share of the window.
-_SURE_SIGMAS, _WEAK_SIGMAS, _OF_WINDOW = 8.0, 7.0, 0.5
+#: Contact pressure from this many standard deviations on adds no doubt; below the second it is said.
+_SURE_SIGMAS, _WEAK_SIGMAS = 8.0, 7.0
 
 
 class DoubtEstimator:
@@ -91,7 +90,7 @@ class DoubtEstimator:
             if pressure is not None:
                 evidence, doubts = _pressure_evidence(contact, pressure, evidence)
                 reasons = (*reasons, *doubts)
-                boundary_mm = 1e3 * _OF_WINDOW * pressure.edge_m
+                boundary_mm = 1e3 * pressure.edge_error_m(contact.pixels)
             radii = 1e-3 * boundary_mm / math.sqrt(area_m2 / math.pi)
             if radii > _ERROR_SHARE:
                 odds -= min(_PER_RADIUS * (radii - _ERROR_SHARE), MAX_EVIDENCE)

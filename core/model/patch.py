@@ -201,7 +201,7 @@ class PressureFacts:
     inflation_pa: float  # 0: not known
     inflation_sigma_pa: float
     window_m: float  # Sigma of the window over which curvature is averaged
-    edge_m: float  # Sigma of that for the edge of contact
+    edge_error_m: Callable[[IndexArray], float]  # Error of the edge of a contact at flat pixels of the patch
     curvature_growth: float  # Of the free membrane since it was untouched, as a factor: by inflation and by the press
     at_rim: bool  # Whether a contact is so near the rim, or a part without depth, that its surroundings are cut off
     agrees: bool  # Whether area times pressure gives the force, too, within its standard deviations

@@ -18,7 +18,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ...errors import RigMismatchError
-from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array, median
+from ...model.arrays import (
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    IndexArray,
+    Int32Array,
+    Uint8Array,
+    Uint16Array,
+    median,
+)
 from ...model.clouds import valid_depth
 from ...model.frames import SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, PressureFacts, Provenance
@@ -40,6 +49,10 @@ _CUT_POWER: Final = 4
 #: How flat the membrane is, at the edge of contact, is limited to this range and averaged over this window, cells: an
 #: edge of the object bends it far more than a face does.
 _FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
+_EDGE: Final = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
+#: Error of the edge of contact, share of its window: at least, and for each share of the flatness by which noise bends
+#: the membrane; noise bends by this share of the deviation of twice the mean curvature, in units of the flatness.
+_OF_WINDOW, _PER_BEND, _NOISE_BENDS = 0.5, 1.3, 0.886
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
 #: What lies this many cells behind contact, and more steeply than the second around it, is the membrane that the camera
@@ -156,6 +169,9 @@ class PressureTest(ContactTest):
         def sigmas_at(pixels: IndexArray) -> Float64Array:
             return sigmas[rest.numbers[self.pixels.tactile_pixels(pixels, frame)]]
 
+        def edge_error_m(pixels: IndexArray) -> float:
+            return now.edge_error_m(rest.numbers[self.pixels.tactile_pixels(pixels, frame)])
+
         def image() -> Float32Array:
             if not rig.has_proximity:
                 return on_membrane.get()
@@ -175,7 +191,7 @@ class PressureTest(ContactTest):
             inflation_pa=section.gauge_pa,
             inflation_sigma_pa=section.gauge_sigma_pa,
             window_m=rest.window * rest.cell_m,
-            edge_m=now.edge_window * rest.cell_m,
+            edge_error_m=edge_error_m,
             curvature_growth=now.grown,
             at_rim=at_rim,
             agrees=agrees,
@@ -344,10 +360,11 @@ class _Now:
                 self.sigmas = np.fmax(self.sigmas, in_wide)
             if not pressed.any():
                 return np.full(pressed.shape, -1.0)
-            level = self._flatness() - section.share
+            self.flatness = self._flatness()
+            level = self.flatness - section.share
             flat = _parts_with((level > 0) & (self._moved_m > 0), pressed, _SMALL_CELLS)
         inside = np.where(flat, level, np.fmin(level, _OUTSIDE))
-        self.edge_window = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
+        self.edge_window = _EDGE
         reach = 2 * math.ceil(self._rest.window) + 1
         small = pressed & (cv2.dilate(flat.view(np.uint8), np.ones((reach, reach), np.uint8)) == 0)
         peaks = np.where(pressed, self.relative, 0.0)
@@ -391,6 +408,14 @@ class _Now:
         sigmas = (self.grown - ratio) / (sigma * self._scatter * shape.growth**_CUT_POWER)
         height, width = self.relative.shape
         return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2), np.float64)[:height, :width]
+
+    def edge_error_m(self, cells: Int32Array) -> float:
+        """Return the error of the edge of a contact in these cells (flat numbers)."""
+        rest = self._rest
+        # noise bends what is flat in some direction, by the mean larger curvature that noise alone has
+        bent = _NOISE_BENDS * rest.sigma_per_m * (rest.window / _FINE_WINDOW) ** 3 / (self.grown * rest.curvature_per_m)
+        flat = max(median(self.flatness.reshape(-1)[cells]), bent)
+        return float(rest.cell_m * max(_OF_WINDOW * self.edge_window, _PER_BEND * _EDGE * bent / flat))
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial import cKDTree
 
+from rigs import rig_noise
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.contact.pressure import surface
 from tactune.core.errors import RigMismatchError
@@ -130,6 +131,23 @@ def test_a_flat_rim_around_the_membrane_changes_nothing(radius_m):
     alone, within = (ContactPipeline(PRESSURE, rig, rest).process(now) for rest, now in views)
     assert within.pressure.force_mm2 == pytest.approx(alone.pressure.force_mm2, rel=0.01, abs=1)
     assert within.area_mm2 == pytest.approx(alone.area_mm2, rel=0.02)
+
+
+@pytest.mark.parametrize("contact_m", [0.025, 0.035])
+def test_noise_that_hides_the_edge_of_a_flat_contact_is_in_its_boundary_error(contact_m):
+    rig = Rig.of_one_camera(simulator_rig().tactile)
+
+    def noisy(frame, seed):
+        noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=frame.tactile_depth.shape), (0, 0), 4.0)
+        return replace(frame, tactile_depth=np.rint(frame.tactile_depth + 4 * noise / noise.std()).astype(np.uint16))
+
+    rest, now = bubble(rig, 0.15), bubble(rig, 0.15, 0.3, 1e3, contact_m)
+    known = rig_noise(correlated_m=0.0004, distance_m=np.median(rest.tactile_depth) * 1e-4)
+    pipeline = ContactPipeline(PRESSURE.with_value("noise", known.model_dump()), rig, rest)
+    patches = [pipeline.process(noisy(now, seed)) for seed in range(4)]
+    off_mm = np.abs([np.sqrt(patch.area_mm2 / np.pi) - 1e3 * contact_m for patch in patches])
+    stated_mm = [patch.doubt.boundary_error_mm for patch in patches]
+    assert 3 < np.mean(off_mm) < 1.5 * np.mean(stated_mm)
 
 
 def test_force_and_contact_of_a_press_follow_the_solver(pressed):
