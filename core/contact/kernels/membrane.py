@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import Float32Array, Uint8Array
+from ...model.arrays import Float32Array
 from .compiling import inline, kernel
 from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scratch, ints, load, to_floats, where
 from .tolerance import (
@@ -49,13 +49,6 @@ class Rectangle(NamedTuple):
     largest_m: np.float32  # Differences must be smaller, metres
 
 
-class DifferenceImages(NamedTuple):
-    """What `find_differences` writes, by pixel of the rectangle."""
-
-    differences: Float32Array  # flat: Proximity minus tactile depth, metres; 0 where it is not smaller than the largest
-    states: Uint8Array  # flat
-
-
 @inline
 def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: Any, color: Any, largest_m: Any) -> Any:
     """Return the differences of the ``valid`` lanes, 0 where too large, and the states with USABLE and MASKED set."""
@@ -73,12 +66,13 @@ def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: 
 
 @kernel
 def find_differences(
-    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, out: Any, first: Any, last: Any
+    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, differences: Any, states: Any, first: Any, last: Any
 ) -> None:
     """Write the differences between both depths for rows ``first`` to ``last - 1`` of a `Rectangle`.
 
-    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `tolerance.find_candidates`; ``out`` are
-    `DifferenceImages`.
+    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `tolerance.find_candidates`. By pixel of
+    the rectangle, flat: proximity minus tactile depth, float32 metres, 0 where it is not smaller than the largest, and
+    the states, uint8.
     """
     width, pixels = test.alignment.size.width, plane_size(test.alignment.size)
     left, top, right, bias_m, largest_m = rectangle
@@ -106,8 +100,8 @@ def find_differences(
                 difference = where(left_out, floats(_ZERO), difference)
                 state = where(left_out, ints(np.int32(EXCLUDED)), state)
             start = (v - top) * (right - left) + u - left
-            store_lanes(out.differences, start, right - u, difference, before, float_buffer)
-            store_lanes(out.states, start, right - u, state, before, int_buffer)
+            store_lanes(differences, start, right - u, difference, before, float_buffer)
+            store_lanes(states, start, right - u, state, before, int_buffer)
 
 
 @inline

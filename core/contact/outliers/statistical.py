@@ -62,9 +62,9 @@ def statistical_inliers(points: Float32Array, pixels: IndexArray, grid: Grid, k:
         return np.zeros(0, np.bool_)
     k = min(k, len(points))
     if len(points) > _FEW_POINTS and k > 1:
-        for precise in (False, True):
-            inliers = surely_below_threshold(near_means(points, pixels, grid, k, precise), ratio, precise)
-            if inliers is not None:
+        for precise, uncertainty in ((False, UNCERTAINTY), (True, PRECISE_UNCERTAINTY)):
+            inliers = np.empty(len(points), np.bool_)
+            if _compare(near_means(points, pixels, grid, k, precise), ratio, uncertainty, inliers):
                 return inliers
     return below_threshold(exact_means(points, k), ratio)
 
@@ -93,7 +93,9 @@ def near_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int, pre
     try:
         if not grid.lay(points, pixels):
             return exact_means(points, k)
-        radius = _largest_worthwhile_radius(len(points))
+        radius = MAX_POINT_RADIUS
+        while radius > _MIN_POINT_RADIUS and (2 * radius + 1) ** 2 > _MAX_WINDOW_SHARE * len(points):
+            radius //= 2
         search = partial(_search, grid, Cloud(points, pixels), k, radius, precise, means)
         in_parallel(search, len(grid.runs), _RUNS)
     finally:
@@ -132,14 +134,6 @@ def _search(
         search_points(cloud, grid.runs[first, NUMBER], end, grid.planes, k, radius, means)
 
 
-def _largest_worthwhile_radius(count: int) -> int:
-    """Return the largest window for single points that is a small part of the work of comparing with all points."""
-    radius = MAX_POINT_RADIUS
-    while radius > _MIN_POINT_RADIUS and (2 * radius + 1) ** 2 > _MAX_WINDOW_SHARE * count:
-        radius //= 2
-    return radius
-
-
 def below_threshold(means: Float64Array, ratio: float) -> BoolArray:
     """Return which exact means are positive and below Open3D's threshold, summed in its order."""
     count, positive = len(means), means > 0
@@ -150,20 +144,13 @@ def below_threshold(means: Float64Array, ratio: float) -> BoolArray:
     return np.asarray(positive & (means < mean + ratio * np.sqrt(squares / (count - 1))))
 
 
-def surely_below_threshold(means: Float64Array, ratio: float, precise: bool) -> BoolArray | None:
-    """Return which means are below the threshold of the exact means; None if that is uncertain.
-
-    If every mean has a relative error of at most an uncertainty, so has the mean of all. The standard deviation is a
-    norm, so it moves by at most the norm of the errors.
-    """
-    inliers = np.empty(len(means), np.bool_)
-    uncertainty = PRECISE_UNCERTAINTY if precise else UNCERTAINTY
-    return inliers if _compare(means, ratio, uncertainty, inliers) else None
-
-
 @partial(kernel, fastmath={"reassoc"})  # any order of a sum will do, so several are added up side by side
 def _compare(means: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
-    """Write which means are below the threshold; return whether that is certain."""
+    """Write which means are below the threshold of the exact means; return whether that is certain.
+
+    If every mean has a relative error of at most the uncertainty, so has the mean of all. The standard deviation is a
+    norm, so it moves by at most the norm of the errors.
+    """
     count = len(means)
     total, squares, centred = 0.0, 0.0, 0.0
     for i in range(count):

@@ -59,15 +59,6 @@ class _SharedNoise(NamedTuple):
     moving: Float32Array  # is displaced in each frame
 
 
-class _TofImages(NamedTuple):
-    """Clean images of a time-of-flight camera, as in `CleanState`."""
-
-    behind: Uint16Array
-    membrane: Uint16Array
-    cosine: Uint8Array
-    flags: Uint8Array
-
-
 class _TofErrors(NamedTuple):
     """Errors of a time-of-flight camera. The tables are indexed by 255 * cosine of incidence and contain ``level``."""
 
@@ -154,7 +145,7 @@ def _across_edge(depth: Uint16Array, v: int, u: int, z: float) -> float:
 
 @compiled
 def _measure_tof(
-    random: _Random, images: _TofImages, errors: _TofErrors, drift_m: float, row: _TofRow, out: Uint16Array
+    random: _Random, images: CleanState, errors: _TofErrors, drift_m: float, row: _TofRow, out: Uint16Array
 ) -> None:
     """Fill in the counts of a time-of-flight camera.
 
@@ -252,10 +243,9 @@ class NoiseModel:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(state.behind)
         drift_m = self.sensor.tof_drift_m * np.sin(2 * np.pi * frame / _DRIFT_FRAMES + self._drift_phase)
-        images = _TofImages(state.behind, state.membrane, state.cosine, state.flags)
         width = out.shape[1]
         row = _TofRow(*np.empty((2, width)), *np.empty((2, width), np.float32))
-        _measure_tof(self._random(frame), images, self._tof, drift_m, row, out)
+        _measure_tof(self._random(frame), state, self._tof, drift_m, row, out)
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:

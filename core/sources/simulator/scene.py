@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -85,8 +85,7 @@ def cameras(rig: Rig) -> tuple[Camera, Camera, Camera]:
     )
 
 
-@dataclass(frozen=True)
-class CleanState:
+class CleanState(NamedTuple):
     """Noise-free images of one state; depths in ``CLEAN_UNIT_M``, 0 where there is none."""
 
     #: In the proximity camera, (H, W): depth of the surface behind the membrane, and of the membrane.

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from copy import copy, deepcopy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from itertools import count
@@ -51,7 +51,6 @@ _IMAGES_VERSION: Final = 4
 SHIPPED: Final = Path(__file__).with_name("solved")
 #: How many equilibria are usually solved until the membrane is inflated.
 _INFLATING: Final = 9
-_IMAGES: Final = tuple(field.name for field in fields(CleanState))
 _FACTS = TypeAdapter(list[PressFacts])
 _DIGEST_BYTES: Final = 32
 
@@ -208,7 +207,7 @@ class _PackedStates(Sequence[CleanState]):
         self._count, self._lock = count, Lock()
         self._unpacked: list[CleanState] = []
         self._streams: dict[str, tuple[IO[bytes], tuple[int, ...], np.dtype[Any]]] = {}
-        for name in _IMAGES:
+        for name in CleanState._fields:
             stream = archive.open(f"{name}.npy")
             np.lib.format.read_magic(stream)
             shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -251,7 +250,7 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
 def save_scene(path: Path, scene: SolvedScene) -> None:
     """Write a scene to a file, whole or not at all: an .npz whose comment is the hash of all before it."""
     arrays: dict[str, Any] = {"facts": np.frombuffer(_FACTS.dump_json(list(scene.facts)), np.uint8)}
-    for name in _IMAGES:
+    for name in CleanState._fields:
         arrays[name] = np.stack([getattr(state, name) for state in scene.states])
         arrays[name][1:] -= arrays[name][:-1].copy()
     packed = BytesIO()

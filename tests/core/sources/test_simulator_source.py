@@ -219,7 +219,7 @@ def test_the_shipped_scene_is_the_solver_s(file):
     for ours, theirs in zip(shipped.facts, solved.facts, strict=True):
         assert flat(asdict(ours)) == pytest.approx(flat(asdict(theirs)), rel=1e-6, abs=1e-9, nan_ok=True)
     for ours, theirs in zip(shipped.states, solved.states, strict=True):
-        for name, image in vars(theirs).items():
+        for name, image in theirs._asdict().items():
             assert np.count_nonzero(getattr(ours, name) != image) <= 1e-5 * image.size, name
 
 
