@@ -26,18 +26,36 @@ _MIN_SEEN: Final = np.float32(0.25)
 _MIN_FACING, _MIN_TURN = np.float32(0.25), 0.25
 
 
-class DifferenceWindow(NamedTuple):
-    """What `average_cells` averages, and which pixels take part."""
+class Differences(NamedTuple):
+    """Both depths in a rectangle of the proximity image; images are (H, W)."""
 
-    differences: Float32Array  # (H, W): Proximity minus tactile depth, metres
-    usable: BoolArray  # (H, W): Where both depths count
-    excluded: BoolArray  # (H, W): Outside the region, or on the membrane outside the range
-    unseen: BoolArray  # (H, W): Without one of both depths
-    counts: Uint16Array  # (H, W): Raw proximity depth
+    corner: tuple[int, int]  # Row and column at which the rectangle begins
+    difference_m: Float32Array  # Proximity less tactile depth, less ``bias_m``; 0 where it is too large
+    counts: Uint16Array  # Raw proximity depth
     unit_m: np.float32  # Metres of a count
-    bias_m: np.float32  # Subtracted from the proximity depth
-    centre_m: np.float32  # Only differences nearer than the limit to the centre are averaged
-    limit_m: np.float32
+    usable: BoolArray  # Has both depths, less than the largest difference between them, and not the mask's colour
+    excluded: BoolArray  # Outside the region, or on the membrane outside the range
+    unseen: BoolArray  # Without one of both depths
+    bias_m: float  # The bias that was subtracted from the proximity depth before it was aligned
+    on_prints_m: Float32Array  # (N,): The differences of some pixels with the mask's colour
+
+    def depth_m(self, counts: Uint16Array) -> Float32Array:
+        """Return raw proximity depth in metres, less ``bias_m``."""
+        depth = counts * self.unit_m
+        depth -= np.float32(self.bias_m)
+        return depth
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle."""
+        (top, left), (height, width) = self.corner, self.usable.shape
+        return slice(top, top + height), slice(left, left + width)
+
+    def cut(self, rows: slice, columns: slice) -> Differences:
+        """Return a part of the rectangle."""
+        images = ("difference_m", "counts", "usable", "excluded", "unseen")
+        corner = self.corner[0] + rows.start, self.corner[1] + columns.start
+        return self._replace(corner=corner, **{name: getattr(self, name)[rows, columns].copy() for name in images})
 
 
 class CellSums(NamedTuple):
@@ -56,15 +74,6 @@ class Surface(NamedTuple):
     bulges: Float32Array  # Twice the mean curvature, 1/m; nan where it is not known
     sides: Float32Array  # (2, H, W): Length of a cell along the surface, to the right and down, metres
     facing: Float32Array  # Share of a depth difference along the ray that is along the surface normal
-
-
-class CellGrid(NamedTuple):
-    """Where cells lie in the proximity image."""
-
-    rays: Float32Array  # (H, W, 2): x / z and y / z of each pixel of the whole image
-    top: int  # Pixel at which the first cell begins; may lie outside the image
-    left: int
-    side: int  # Of a cell, pixels
 
 
 class MembraneImage(NamedTuple):
@@ -86,17 +95,20 @@ class BesideCells(NamedTuple):
 
 
 @kernel
-def average_cells(window: Any, side: Any, step: Any, rays: Any, frame: Any, out: Any, first: Any, last: Any) -> None:
-    """Write means over cells of ``side`` by ``side`` pixels of a `DifferenceWindow`, rows ``first`` to ``last - 1``.
+def average_cells(
+    window: Any, near_m: Any, side: Any, step: Any, table: Any, frame: Any, out: Any, first: Any, last: Any
+) -> None:
+    """Write means over cells of ``side`` by ``side`` pixels of `Differences`, rows ``first`` to ``last - 1``.
 
-    One pixel of ``step`` x ``step`` is read, in all rows and columns, so a pattern without depth does not hide a cell;
-    that number divides ``side``, or ``step`` is 1. ``rays`` are the window's `RayWindow`, ``out`` are `CellSums`, whose
-    frame of ``frame`` cells is left as it is. The last cells may reach beyond the images. The seen pixels of a cell
-    stand for all, if they are a quarter of it: depth that is missing here and there hides no cell.
+    Only differences nearer than a limit to a centre, ``near_m``, take part. One pixel of ``step`` x ``step`` is read,
+    in all rows and columns, so a pattern without depth does not hide a cell; that number divides ``side``, or ``step``
+    is 1. ``table`` are the rays of the whole image, ``out`` are `CellSums`, whose frame of ``frame`` cells is left as
+    it is. The last cells may reach beyond the images. The seen pixels of a cell stand for all, if they are a quarter of
+    it: depth that is missing here and there hides no cell.
     """
     means, left_out, holes, points = out
-    differences, usable, excluded, unseen, counts, unit_m, bias_m, centre_m, limit_m = window
-    table, top, left = rays
+    (top, left), differences, counts, unit_m, usable, excluded, unseen, bias, _ = window
+    bias_m, centre_m, limit_m = np.float32(bias), np.float32(near_m[0]), np.float32(near_m[1])
     width, pixels, stride = usable.shape[1], np.float32((side // step) ** 2), step * step
     for row in range(first, last):
         to = row + frame
@@ -282,8 +294,9 @@ def _tangent_plane(points: Any, v: Any, u: Any, reach: Any) -> Any:
 
 @kernel
 def continue_beside(
-    known: Any, excluded: Any, points: Any, surface: Any, grid: Any, membrane: Any, near_m: Any, reach: Any, out: Any
-) -> None:
+    known: Any, excluded: Any, points: Any, surface: Any, rays: Any, side: Any, membrane: Any, near_m: Any, reach: Any,
+    out: Any,
+) -> None:  # fmt: skip
     """Continue the object along its tangent planes, up to ``reach`` cells beyond its border, and measure its gap there.
 
     The membrane's depth along the ray of such a cell is looked up in the tactile image, starting from the depth of the
@@ -295,8 +308,10 @@ def continue_beside(
         Cells of the object; there must be none within ``reach`` cells of the border.
     excluded, points : float32, shape (H, W) and (H, W, 4)
         Those of `CellSums`. Cells with an excluded share of a half or more are left out.
-    surface, grid, membrane, out : Surface, CellGrid, MembraneImage, BesideCells
-        The surface's sides and facing are continued.
+    surface, rays, membrane, out : Surface, RayWindow, MembraneImage, BesideCells
+        The surface's sides and facing are continued. The window begins with the first cell, perhaps outside the image.
+    side : int
+        Of a cell, pixels.
     near_m : tuple of float
         Centre and limit: a difference farther than the limit from the centre is no membrane, but a wrong depth.
     reach : int
@@ -329,15 +344,16 @@ def continue_beside(
                         sources[place], queue[count] = sources[queue[i]], place
                         count += 1
         first = last
-    image_height, image_width = grid.rays.shape[0], grid.rays.shape[1]
+    table, top, left = rays
+    image_height, image_width = table.shape[0], table.shape[1]
     for i in range(border, count):
         v, u = queue[i] // width, queue[i] % width
-        pixel_v, pixel_u = grid.top + v * grid.side + grid.side // 2, grid.left + u * grid.side + grid.side // 2
+        pixel_v, pixel_u = top + v * side + side // 2, left + u * side + side // 2
         if not (0 <= pixel_v < image_height and 0 <= pixel_u < image_width):
             continue
         source = sources[queue[i]]
         from_v, from_u = source // width, source % width
-        ray_x, ray_y = grid.rays[pixel_v, pixel_u, 0], grid.rays[pixel_v, pixel_u, 1]
+        ray_x, ray_y = table[pixel_v, pixel_u, 0], table[pixel_v, pixel_u, 1]
         turn = 1 - planes[0, source] * ray_x - planes[1, source] * ray_y
         plane = planes[2, source] / max(turn, _MIN_TURN)
         _, _, depth = _mean_point(points, from_v, from_u)

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Int32Array
+from ...model.arrays import Float32Array, Int32Array
 from .compiling import kernel
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
@@ -27,18 +27,6 @@ class Equations(NamedTuple):
     links: Float32Array
     floors: Float32Array  # (N,): Smallest gap: 0 where there is an object
     even: int  # Number of cells of even row plus column. No two of them are neighbours, and no two of the others
-
-
-class CellImages(NamedTuple):
-    """What the equations of cells depend on; images are (H, W)."""
-
-    measured: Float32Array  # Gaps, metres
-    #: Cells of the object; these and those beside it.
-    known: BoolArray
-    linked: BoolArray
-    push: Float32Array  # p / T - k, 1/m
-    sides: Float32Array  # (2, H, W): From `measure_cells`
-    weight: Float32Array  # Of the measured gap
 
 
 @kernel
@@ -80,14 +68,18 @@ def mark_inside(guess: Any, known: Any, linked: Any, weights: Any, largest_m: An
 
 
 @kernel
-def link_cells(inside: Any, images: Any, trust_m: Any, places: Any, links: Any, floors: Any, loads: Any) -> Any:
+def link_cells(
+    inside: Any, cells: Any, measured: Any, push: Any, trust_m: Any, places: Any, links: Any, floors: Any, loads: Any
+) -> Any:
     """Write the `Equations` of the cells inside, and their loads; return ``even``.
 
     Parameters
     ----------
     inside : bool, shape (H, W)
         Which cells are solved for; none at the border.
-    images : CellImages
+    cells : Cells
+    measured, push : float32, shape (H, W)
+        Measured gaps, metres; p / T - k, 1/m.
     trust_m : float32
         Length over which the measured gap attracts the gap, metres.
     places, links, floors
@@ -95,7 +87,7 @@ def link_cells(inside: Any, images: Any, trust_m: Any, places: Any, links: Any, 
     loads : float32, shape (N,)
         As in `settle`.
     """
-    measured, known, linked, push, sides, weight = images
+    known, linked, sides, weight = cells.known, cells.linked, cells.sides_m, cells.weight
     height, width = inside.shape
     count, even = 0, 0
     for parity in range(2):

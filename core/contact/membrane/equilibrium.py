@@ -24,66 +24,25 @@ cameras has no effect on it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from ...model.alignment import AlignmentSection
-from ...model.arrays import BoolArray, Float32Array, Uint16Array
+from ...model.arrays import BoolArray, Float32Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
 from ...model.intrinsics import Intrinsics
 from ..kernels import cells as cell_kernels
 from ..kernels import equilibrium as kernels
 from ..kernels import membrane as membrane_kernels
-from ..kernels.cells import MembraneImage
+from ..kernels.cells import Differences, MembraneImage
 from ..kernels.membrane import RayWindow
 from ..kernels.quadric import CELL_PX as BLOCK_PX
 from ..kernels.quadric import average_cells
 from ..kernels.threads import in_parallel
-
-
-@dataclass(frozen=True, eq=False)
-class Differences:
-    """Both depths in a rectangle of the proximity image; images are (H, W)."""
-
-    place: tuple[slice, slice]  # Rows and columns of the rectangle
-    difference_m: Float32Array  # Proximity less tactile depth, less ``bias_m``; 0 where it is too large
-    counts: Uint16Array  # Raw proximity depth
-    unit_m: np.float32  # Metres of a count
-    usable: BoolArray  # Has both depths, less than the largest difference between them, and not the mask's colour
-    excluded: BoolArray  # Outside the region, or on the membrane outside the range
-    unseen: BoolArray  # Without one of both depths
-    bias_m: float  # The bias that was subtracted from the proximity depth before it was aligned
-    #: (N,): The differences of some pixels with the mask's colour.
-    on_prints_m: Float32Array
-
-    def depth_m(self, counts: Uint16Array) -> Float32Array:
-        """Return raw proximity depth in metres, less ``bias_m``."""
-        depth = counts * self.unit_m
-        depth -= np.float32(self.bias_m)
-        return depth
-
-    @property
-    def corner(self) -> tuple[int, int]:
-        """Row and column at which the rectangle begins."""
-        return self.place[0].start, self.place[1].start
-
-    def cut(self, part: tuple[slice, slice]) -> Differences:
-        """Return a part of the rectangle."""
-        height, width = self.usable.shape
-        (top, left), (first, last, _), (begin, end, _) = self.corner, part[0].indices(height), part[1].indices(width)
-        return replace(
-            self,
-            place=(slice(top + first, top + last), slice(left + begin, left + end)),
-            difference_m=self.difference_m[part].copy(),
-            counts=self.counts[part].copy(),
-            usable=self.usable[part].copy(),
-            excluded=self.excluded[part].copy(),
-            unseen=self.unseen[part].copy(),
-        )
 
 
 def surroundings(marked: BoolArray, margin_px: int) -> tuple[slice, slice] | None:
@@ -121,8 +80,7 @@ FRAME: Final = 1 + -(-_BESIDE_PX // CELL_PX)
 INNER: Final = (slice(FRAME, -FRAME),) * 2
 
 
-@dataclass(frozen=True, eq=False)
-class Cells:
+class Cells(NamedTuple):
     """Square cells of pixels for the obstacle problem; images are (H, W), with a `FRAME` of unknown cells."""
 
     #: Mean difference of both depths along the ray. Beside the object: that of its tangent plane and the membrane.
@@ -167,13 +125,10 @@ def cells_of(
     shape = -(-height // size_px) + 2 * FRAME, -(-width // size_px) + 2 * FRAME
     means, excluded, unseen = np.zeros((3, *shape), np.float32)
     sums = cell_kernels.CellSums(means, excluded, unseen, np.zeros((*shape, 4), np.float32))
-    window = cell_kernels.DifferenceWindow(
-        differences.difference_m, differences.usable, differences.excluded, differences.unseen, differences.counts,
-        differences.unit_m, np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
-    )  # fmt: skip
-    rays = RayWindow(ray_table(camera), *differences.corner)
+    rays = ray_table(camera)
     step = 2 if size_px % 4 == 0 else 1  # neighbours share noise, so every fourth pixel is enough for large cells
-    in_parallel(partial(cell_kernels.average_cells, window, size_px, step, rays, FRAME, sums), shape[0] - 2 * FRAME)
+    average = partial(cell_kernels.average_cells, differences, near_m, size_px, step, rays, FRAME, sums)
+    in_parallel(average, shape[0] - 2 * FRAME)
     difference, excluded, unseen, points = sums
     share, known = points[..., 3].copy(), np.zeros(shape, np.bool_)
     known[INNER] = ((over_window(share, size_px) > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[INNER]
@@ -188,13 +143,12 @@ def cells_of(
     cell_kernels.extrapolate(surface.bulges, known, round(_REACH_PX / size_px), queue)
     push = np.float32(free_per_m) - surface.bulges
 
-    top, left = (start - FRAME * size_px for start in differences.corner)
-    grid = cell_kernels.CellGrid(rays.rays, top, left, size_px)
+    window = RayWindow(rays, *(start - FRAME * size_px for start in differences.corner))
     linked, weight, planes = known.copy(), share.copy(), np.empty((3, share.size), np.float32)
     beside = cell_kernels.BesideCells(linked, difference, weight, sources, queue, planes)
     reach = -(-_BESIDE_PX // size_px)
     limits = near_m[0], _WRONG_M
-    cell_kernels.continue_beside(known, excluded, points, surface, grid, membrane, limits, reach, beside)
+    cell_kernels.continue_beside(known, excluded, points, surface, window, size_px, membrane, limits, reach, beside)
     push[linked & ~known] = free_per_m
     near = over_window(share, size_px)
     return Cells(difference, share, unseen, weight, near, known, linked, push, surface.sides, surface.facing, size_px)
@@ -251,8 +205,7 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     places, links = np.empty(size, np.int32), np.empty((6, size), np.float32)
     floors, loads = np.empty((2, size), np.float32)
     push = np.maximum(cells.push_per_m, _MIN_PUSH_PER_M)
-    images = kernels.CellImages(measured, cells.known, cells.linked, push, cells.sides_m, cells.weight)
-    even = kernels.link_cells(inside, images, np.float32(trust_m), places, links, floors, loads)
+    even = kernels.link_cells(inside, cells, measured, push, np.float32(trust_m), places, links, floors, loads)
     if start is not None:
         np.copyto(gap, start.gap_m, where=inside & cells.known)
     equations = kernels.Equations(places, links, floors, even)

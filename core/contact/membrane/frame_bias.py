@@ -20,8 +20,8 @@ import numpy as np
 from ...model.arrays import Float32Array
 from ...model.frames import Rig
 from ...model.rig_noise import CameraNoise, RigNoise
-from ..kernels.cells import MembraneImage
-from .equilibrium import CELL_PX, GUESS_PX, Cells, Differences, Equilibrium, cells_of, settle, surroundings
+from ..kernels.cells import Differences, MembraneImage
+from .equilibrium import CELL_PX, GUESS_PX, Cells, Equilibrium, cells_of, settle, surroundings
 from .section import LARGEST_BIAS_M
 
 #: For the search for the bias: side of a grid cell, pixels; sigma of the window over the object's shape, pixels; length
@@ -207,8 +207,7 @@ def _near(differences: Differences, centre_m: float) -> Differences | None:
     if (box := surroundings(near, 2)) is None:
         return None
     grid = math.lcm(COARSE_CELL_PX, CELL_PX)  # so that the cells are the same wherever the part begins
-    rows, columns = (slice(side.start * _STRIDE_PX // grid * grid, side.stop * _STRIDE_PX) for side in box)
-    return differences.cut((rows, columns))
+    return differences.cut(*(slice(side.start * _STRIDE_PX // grid * grid, side.stop * _STRIDE_PX) for side in box))
 
 
 def _variance_m2(known: RigBias, area_m2: float) -> float:

@@ -18,7 +18,7 @@ from ...model.rig_noise import RigNoise
 from ..alignment import make_alignment
 from ..dents import Dents
 from ..kernels import membrane as kernels
-from ..kernels.cells import MembraneImage
+from ..kernels.cells import Differences, MembraneImage
 from ..kernels.simd import LANES
 from ..kernels.threads import ROWS, in_parallel
 from ..kernels.tolerance import TILE_ROWS, flat
@@ -29,7 +29,6 @@ from .equilibrium import (
     FAR_M,
     INNER,
     Cells,
-    Differences,
     Equilibrium,
     cells_of,
     measured_curvature_per_m,
@@ -104,7 +103,7 @@ def differences_at(
     rows = ROWS if possible > MAX_TILES_ALONE else bottom - top
     difference, state = look(frame, pixels, tiles, (left, top, right, bottom), bias_m, largest_m, rows)
     found = Differences(
-        (slice(top, bottom), slice(left, right)),
+        (top, left),
         difference,
         frame.proximity_depth[top:bottom, left:right].copy(),
         np.float32(pixels.rig.proximity.depth_unit_m),
