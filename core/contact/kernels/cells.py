@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Int32Array, Uint16Array
+from ...model.arrays import BoolArray, Float32Array, Uint16Array
 from .compiling import inline, kernel
 from .lenses import project
 from .membrane import bulge_at, derivatives, divide_by_shares
@@ -58,40 +58,11 @@ class Differences(NamedTuple):
         return self._replace(corner=corner, **{name: getattr(self, name)[rows, columns].copy() for name in images})
 
 
-class CellSums(NamedTuple):
-    """What `average_cells` writes; images are (H, W), with a frame of cells that is not written."""
-
-    differences: Float32Array  # Mean difference
-    excluded: Float32Array  # Excluded share
-    unseen: Float32Array  # Share without one of both depths
-    #: (H, W, 4): Mean x, y and z, metres, times the share of the seen pixels that take part, and that share.
-    points: Float32Array
-
-
-class Surface(NamedTuple):
-    """What `measure_cells` writes; images are (H, W)."""
-
-    bulges: Float32Array  # Twice the mean curvature, 1/m; nan where it is not known
-    sides: Float32Array  # (2, H, W): Length of a cell along the surface, to the right and down, metres
-    facing: Float32Array  # Share of a depth difference along the ray that is along the surface normal
-
-
 class MembraneImage(NamedTuple):
     """The tactile depth image, and how it is aligned."""
 
     counts: Uint16Array  # flat
     alignment: AlignmentTables
-
-
-class BesideCells(NamedTuple):
-    """What `continue_beside` writes; images are (H, W)."""
-
-    linked: BoolArray  # Cells of the object at first; then also those beside it
-    differences: Float32Array  # Depth of the tangent plane minus that of the membrane, metres; beside the object only
-    weights: Float32Array  # 1 where the membrane is seen, 0 elsewhere; beside the object only
-    sources: Int32Array  # Scratch, as the next two; flat, H * W elements
-    queue: Int32Array
-    planes: Float32Array  # (3, H * W)
 
 
 @kernel
@@ -100,11 +71,22 @@ def average_cells(
 ) -> None:
     """Write means over cells of ``side`` by ``side`` pixels of `Differences`, rows ``first`` to ``last - 1``.
 
-    Only differences nearer than a limit to a centre, ``near_m``, take part. One pixel of ``step`` x ``step`` is read,
-    in all rows and columns, so a pattern without depth does not hide a cell; that number divides ``side``, or ``step``
-    is 1. ``table`` are the rays of the whole image, ``out`` are `CellSums`, whose frame of ``frame`` cells is left as
-    it is. The last cells may reach beyond the images. The seen pixels of a cell stand for all, if they are a quarter of
-    it: depth that is missing here and there hides no cell.
+    One pixel of ``step`` x ``step`` is read, in all rows and columns, so a pattern without depth does not hide a cell;
+    that number divides ``side``, or ``step`` is 1. The last cells may reach beyond the images. The seen pixels of a
+    cell stand for all, if they are a quarter of it: depth that is missing here and there hides no cell.
+
+    Parameters
+    ----------
+    window : Differences
+    near_m : tuple of float
+        Centre and limit: only differences nearer than the limit to the centre take part.
+    table : float32, shape (h, w, 2)
+        Rays of the whole image.
+    frame : int
+        Cells around the images of ``out`` that are left as they are.
+    out : float32, shapes three times (H, W), and (H, W, 4)
+        By cell: mean difference; excluded share; share without one of both depths; mean x, y and z, metres, times the
+        share of the seen pixels that take part, and that share.
     """
     means, left_out, holes, points = out
     (top, left), differences, counts, unit_m, usable, excluded, unseen, bias, _ = window
@@ -148,7 +130,7 @@ def _slope_of(rise: Any, way: Any) -> Any:
 
 
 @kernel
-def measure_cells(points: Any, min_shares: Any, flat_m: Any, out: Any) -> None:
+def measure_cells(points: Any, min_shares: Any, flat_m: Any, curved: Any, sides: Any, facing: Any) -> None:
     """Measure a smooth surface by cell: its curvature, the sides of cells, and how they face the camera.
 
     Parameters
@@ -160,9 +142,10 @@ def measure_cells(points: Any, min_shares: Any, flat_m: Any, out: Any) -> None:
         1 mm and faces the camera.
     flat_m : tuple of float
         Width and height of a cell that faces the camera at a depth of 1 m.
-    out : Surface
+    curved, sides, facing : float32, shapes (H, W), (2, H, W) and (H, W)
+        Written: twice the mean curvature, 1/m, nan where it is not known; length of a cell along the surface, to the
+        right and down, metres; share of a depth difference along the ray that is along the surface normal.
     """
-    curved, sides, facing = out
     divide_by_shares(points)
     height, width = facing.shape
     curved[:], sides[:], facing[:] = np.float32(np.nan), np.float32(1e-3), _ONE
@@ -256,7 +239,7 @@ def extrapolate(values: Any, known: Any, reach: Any, queue: Any) -> None:
 
 @inline
 def _mean_point(points: Any, v: Any, u: Any) -> Any:
-    """Return the mean x, y and z of a cell that has some, metres; ``points`` (H, W, 4) are those of `CellSums`."""
+    """Return the mean x, y and z of a cell that has some, metres; ``points`` (H, W, 4) are those of `average_cells`."""
     share = np.float64(points[v, u, 3])
     return points[v, u, 0] / share, points[v, u, 1] / share, points[v, u, 2] / share
 
@@ -265,7 +248,7 @@ def _mean_point(points: Any, v: Any, u: Any) -> Any:
 def _tangent_plane(points: Any, v: Any, u: Any, reach: Any) -> Any:
     """Fit z = a x + b y + c to a cell and those around it, from -reach to reach in steps of 2; return a, b and c.
 
-    ``points`` (H, W, 4) are those of `CellSums`. Near cells count more, by Epanechnikov's parabola.
+    ``points`` (H, W, 4) are those of `average_cells`. Near cells count more, by Epanechnikov's parabola.
     """
     x0, y0, z0 = _mean_point(points, v, u)
     outside = 1.0 / (reach + 1) ** 2
@@ -307,17 +290,23 @@ def continue_beside(
     known : bool, shape (H, W)
         Cells of the object; there must be none within ``reach`` cells of the border.
     excluded, points : float32, shape (H, W) and (H, W, 4)
-        Those of `CellSums`. Cells with an excluded share of a half or more are left out.
-    surface, rays, membrane, out : Surface, RayWindow, MembraneImage, BesideCells
-        The surface's sides and facing are continued. The window begins with the first cell, perhaps outside the image.
+        Those of `average_cells`. Cells with an excluded share of a half or more are left out.
+    surface : tuple of float32, shapes (2, H, W) and (H, W)
+        Sides and facing of `measure_cells`, which are continued.
+    rays, membrane : RayWindow, MembraneImage
+        The window begins with the first cell, perhaps outside the image.
     side : int
         Of a cell, pixels.
     near_m : tuple of float
         Centre and limit: a difference farther than the limit from the centre is no membrane, but a wrong depth.
     reach : int
         Also of the window over which tangent planes are fitted.
+    out : tuple
+        Three images, (H, W): which cells are of the object, then also those beside it; and beside the object the depth
+        of the tangent plane minus that of the membrane, metres, and 1 where the membrane is seen, 0 elsewhere. Three
+        buffers: twice int32, H * W elements, and float32, (3, H * W).
     """
-    sides, facing = surface.sides, surface.facing
+    sides, facing = surface
     linked, differences, weights, sources, queue, planes = out
     height, width = known.shape
     count = 0

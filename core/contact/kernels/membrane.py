@@ -38,17 +38,6 @@ class RayWindow(NamedTuple):
     left: int
 
 
-class Rectangle(NamedTuple):
-    """Part of the image that `find_differences` writes about, the bias, and the largest difference it accepts."""
-
-    #: Proximity pixels; ``left`` is a multiple of `LANES`, ``right`` is exclusive.
-    left: int
-    top: int
-    right: int
-    bias_m: np.float32  # Subtracted from the proximity depth, metres
-    largest_m: np.float32  # Differences must be smaller, metres
-
-
 @inline
 def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: Any, color: Any, largest_m: Any) -> Any:
     """Return the differences of the ``valid`` lanes, 0 where too large, and the states with USABLE and MASKED set."""
@@ -66,16 +55,18 @@ def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: 
 
 @kernel
 def find_differences(
-    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, differences: Any, states: Any, first: Any, last: Any
-) -> None:
-    """Write the differences between both depths for rows ``first`` to ``last - 1`` of a `Rectangle`.
+    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, bias_m: Any, largest_m: Any, differences: Any,
+    states: Any, first: Any, last: Any,
+) -> None:  # fmt: skip
+    """Write the differences between both depths for rows ``first`` to ``last - 1`` of a rectangle.
 
-    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `tolerance.find_candidates`. By pixel of
-    the rectangle, flat: proximity minus tactile depth, float32 metres, 0 where it is not smaller than the largest, and
-    the states, uint8.
+    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `tolerance.find_candidates`. The
+    rectangle is left, a multiple of `LANES`, top, and right, exclusive, in proximity pixels. By its pixels, flat:
+    proximity depth less ``bias_m`` minus tactile depth, float32 metres, 0 where it is not smaller than ``largest_m``,
+    and the states, uint8.
     """
     width, pixels = test.alignment.size.width, plane_size(test.alignment.size)
-    left, top, right, bias_m, largest_m = rectangle
+    left, top, right = rectangle
     float_buffer, int_buffer = _float_vector(), _int_vector()
     for v in range(top + first, top + last):
         row_in_region = v >= test.region.top and v < test.region.bottom

@@ -123,35 +123,34 @@ def cells_of(
     if min(height, width) < 3 * size_px:
         return None
     shape = -(-height // size_px) + 2 * FRAME, -(-width // size_px) + 2 * FRAME
-    means, excluded, unseen = np.zeros((3, *shape), np.float32)
-    sums = cell_kernels.CellSums(means, excluded, unseen, np.zeros((*shape, 4), np.float32))
+    difference, excluded, unseen = np.zeros((3, *shape), np.float32)
+    points = np.zeros((*shape, 4), np.float32)
+    sums = difference, excluded, unseen, points
     rays = ray_table(camera)
     step = 2 if size_px % 4 == 0 else 1  # neighbours share noise, so every fourth pixel is enough for large cells
     average = partial(cell_kernels.average_cells, differences, near_m, size_px, step, rays, FRAME, sums)
     in_parallel(average, shape[0] - 2 * FRAME)
-    difference, excluded, unseen, points = sums
     share, known = points[..., 3].copy(), np.zeros(shape, np.bool_)
     known[INNER] = ((over_window(share, size_px) > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[INNER]
     share *= known
 
     smooth = cv2.GaussianBlur(points, (0, 0), max(shape_px / size_px, 0.3), borderType=cv2.BORDER_CONSTANT)
-    surface = cell_kernels.Surface(
-        np.empty(shape, np.float32), np.empty((2, *shape), np.float32), np.empty(shape, np.float32)
-    )
-    cell_kernels.measure_cells(smooth, _MIN_SHARES_OF_SURFACE, (size_px / camera.fx, size_px / camera.fy), surface)
+    (bulges, facing), sides = np.empty((2, *shape), np.float32), np.empty((2, *shape), np.float32)
+    flat_m = size_px / camera.fx, size_px / camera.fy
+    cell_kernels.measure_cells(smooth, _MIN_SHARES_OF_SURFACE, flat_m, bulges, sides, facing)
     queue, sources = np.empty((2, share.size), np.int32)
-    cell_kernels.extrapolate(surface.bulges, known, round(_REACH_PX / size_px), queue)
-    push = np.float32(free_per_m) - surface.bulges
+    cell_kernels.extrapolate(bulges, known, round(_REACH_PX / size_px), queue)
+    push = np.float32(free_per_m) - bulges
 
     window = RayWindow(rays, *(start - FRAME * size_px for start in differences.corner))
     linked, weight, planes = known.copy(), share.copy(), np.empty((3, share.size), np.float32)
-    beside = cell_kernels.BesideCells(linked, difference, weight, sources, queue, planes)
+    surface, beside = (sides, facing), (linked, difference, weight, sources, queue, planes)
     reach = -(-_BESIDE_PX // size_px)
     limits = near_m[0], _WRONG_M
     cell_kernels.continue_beside(known, excluded, points, surface, window, size_px, membrane, limits, reach, beside)
     push[linked & ~known] = free_per_m
     near = over_window(share, size_px)
-    return Cells(difference, share, unseen, weight, near, known, linked, push, surface.sides, surface.facing, size_px)
+    return Cells(difference, share, unseen, weight, near, known, linked, push, sides, facing, size_px)
 
 
 def over_window(image: Float32Array, size_px: int) -> Float32Array:

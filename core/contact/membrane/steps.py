@@ -135,10 +135,12 @@ def look(
     left, top, right, bottom = rectangle
     shape = bottom - top, right - left
     difference, state = np.empty(shape, np.float32), np.empty(shape, np.uint8)
-    part = kernels.Rectangle(left, top, right, np.float32(bias_m), np.float32(largest_m))
-    out = difference.reshape(-1), state.reshape(-1)
     images, test, color = depth_images(frame), pixels.test(), pixels.color_test(frame)
-    in_parallel(partial(kernels.find_differences, images, test, color, tiles, part, *out), bottom - top, rows)
+    find = partial(
+        kernels.find_differences, images, test, color, tiles, (left, top, right), np.float32(bias_m),
+        np.float32(largest_m), difference.reshape(-1), state.reshape(-1),
+    )  # fmt: skip
+    in_parallel(find, bottom - top, rows)
     return difference, state
 
 

@@ -6,14 +6,14 @@ and row. So any frame can be made at any time, always with the same bits, and co
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from numpy import int64
 
-from ...model.arrays import Float32Array, Float64Array, Uint8Array, Uint16Array
+from ...model.arrays import Float32Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, Rig
 from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
@@ -72,15 +72,6 @@ class _TofErrors(NamedTuple):
     shared_sigma_m: Float32Array  # table
     dropout: Float32Array  # table: share of pixels without depth
     shared: _SharedNoise
-
-
-class _TofRow(NamedTuple):
-    """Scratch for the pixels of one image row: the depth that is measured, and what scales its noise."""
-
-    z: Float64Array  # metres
-    growth: Float64Array
-    white_sigma_m: Float32Array
-    shared_sigma_m: Float32Array
 
 
 class _StereoErrors(NamedTuple):
@@ -145,11 +136,12 @@ def _across_edge(depth: Uint16Array, v: int, u: int, z: float) -> float:
 
 @compiled
 def _measure_tof(
-    random: _Random, images: CleanState, errors: _TofErrors, drift_m: float, row: _TofRow, out: Uint16Array
+    random: _Random, images: CleanState, errors: _TofErrors, drift_m: float, row: Any, out: Uint16Array
 ) -> None:
     """Fill in the counts of a time-of-flight camera.
 
-    It measures ``scale z + level (bias + drift) + growth(z) (white_sigma white + shared_sigma shared)``.
+    It measures ``scale z + level (bias + drift) + growth(z) (white_sigma white + shared_sigma shared)``. ``row`` is
+    scratch for the pixels of one image row: the depth that is measured, and what scales its noise.
     """
     behind = images.behind
     height, width = behind.shape
@@ -244,7 +236,7 @@ class NoiseModel:
         out = np.empty_like(state.behind)
         drift_m = self.sensor.tof_drift_m * np.sin(2 * np.pi * frame / _DRIFT_FRAMES + self._drift_phase)
         width = out.shape[1]
-        row = _TofRow(*np.empty((2, width)), *np.empty((2, width), np.float32))
+        row = (*np.empty((2, width)), *np.empty((2, width), np.float32))
         _measure_tof(self._random(frame), state, self._tof, drift_m, row, out)
         return out
 
