@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from ...model.arrays import Float32Array, Int32Array
 from .compiling import kernel
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _MIN_SHARE: Final = np.float32(1e-6)
 #: Floor of a gap that may be negative, metres.
 _NO_FLOOR: Final = np.float32(-1.0)
-
-
-class Equations(NamedTuple):
-    """The equations of the N cells that are solved for, cells of even row plus column first.
-
-    For a cell with the gap g: the sum of link * (neighbour - g), minus weight * area / trust_m^2 * (g - measured), is
-    push * area. Only linked cells are neighbours.
-    """
-
-    places: Int32Array  # (N,): Flat places of the cells in their image
-    #: (6, N): To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of their sum.
-    links: Float32Array
-    floors: Float32Array  # (N,): Smallest gap: 0 where there is an object
-    even: int  # Number of cells of even row plus column. No two of them are neighbours, and no two of the others
 
 
 @kernel
@@ -71,7 +56,10 @@ def mark_inside(guess: Any, known: Any, linked: Any, weights: Any, largest_m: An
 def link_cells(
     inside: Any, cells: Any, measured: Any, push: Any, trust_m: Any, places: Any, links: Any, floors: Any, loads: Any
 ) -> Any:
-    """Write the `Equations` of the cells inside, and their loads; return ``even``.
+    """Write the equations of the N cells inside, those of even row plus column first; return the number of these.
+
+    For a cell with the gap g: the sum of link * (neighbour - g), minus weight * area / trust_m^2 * (g - measured), is
+    push * area. Only linked cells are neighbours. No two cells of even row plus column are, and no two of the others.
 
     Parameters
     ----------
@@ -82,10 +70,12 @@ def link_cells(
         Measured gaps, metres; p / T - k, 1/m.
     trust_m : float32
         Length over which the measured gap attracts the gap, metres.
-    places, links, floors
-        As in `Equations`.
-    loads : float32, shape (N,)
-        As in `settle`.
+    places : int32, shape (N,)
+        Flat places of the cells in their image.
+    links : float32, shape (6, N)
+        To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of their sum.
+    floors, loads : float32, shape (N,)
+        Smallest gap: 0 where there is an object; measured gap times its link, minus push times area.
     """
     known, linked, sides, weight = cells.known, cells.linked, cells.sides_m, cells.weight
     height, width = inside.shape
@@ -128,9 +118,8 @@ def settle(gaps: Any, width: Any, equations: Any, loads: Any, factor: Any, toler
         Of all cells: the start and the result. Cells that are not solved for keep theirs.
     width : int
         Of the image of cells.
-    equations : Equations
-    loads : float32, shape (N,)
-        Measured gap times its link, minus push times area.
+    equations, loads
+        Places, links, floors and the number of even cells, and the loads, of `link_cells`.
     factor, tolerance_m : float32
         Over-relaxation, 1 to 2; iteration ends when no gap changes by more.
     max_sweeps : int

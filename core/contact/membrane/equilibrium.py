@@ -207,7 +207,7 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     even = kernels.link_cells(inside, cells, measured, push, np.float32(trust_m), places, links, floors, loads)
     if start is not None:
         np.copyto(gap, start.gap_m, where=inside & cells.known)
-    equations = kernels.Equations(places, links, floors, even)
+    equations = places, links, floors, even
     kernels.settle(gap.reshape(-1), gap.shape[1], equations, loads, _FACTOR, _TOLERANCE_M, _MAX_SWEEPS)
     gap[~cells.known] = FAR_M
     return Equilibrium(gap, guess, measured - gap, inside & cells.known & (gap <= 0))

@@ -11,7 +11,7 @@ from collections import deque
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -22,7 +22,7 @@ from ...preset import CamerasSection
 from ..base import CameraRole, FrameSource, Health, Progress
 from ..cameras.camera import Camera, CameraDriver, DeviceInfo, Images
 from ..cameras.camera_source import CameraSource
-from ..cameras.pairing import period_s
+from ..cameras.pairing import Timed, period_s
 from ..capture.process_source import ProcessSource
 from ..lens_files import camera_info_lens
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
@@ -234,21 +234,13 @@ class Ros2Driver(CameraDriver):
         return _TopicInfo(camera.calibration.depth.model, camera.depth.topic.name, role)
 
 
-class _Message(NamedTuple):
-    """An image that is still in CDR; ``arrival_s`` is by `time.monotonic`."""
-
-    stamp_s: float
-    arrival_s: float
-    data: bytes
-
-
 class _Receiver:
     """Receives the images of a topic."""
 
     def __init__(self, listener: Listener, stream: Stream, camera: str) -> None:
         self.stream, self._camera = stream, camera
         self.reader = listener.read(stream.topic.name, stream.topic.type)
-        self.waiting: deque[_Message] = deque()
+        self.waiting: deque[Timed[bytes]] = deque()  # images that are still in CDR
         self._infos = listener.read(stream.info, CAMERA_INFO) if stream.info else None
         self._known_lens = b""
 
@@ -267,10 +259,10 @@ class _Receiver:
                 raise SourceError(f"the {self._camera} has another lens than before: open the topics again")
             self._known_lens = data[_STAMP_END:]
         for data in self.reader.take():
-            self.waiting.append(_Message(1e-9 * stamp_ns(data), time.monotonic(), data))
+            self.waiting.append(Timed(1e-9 * stamp_ns(data), time.monotonic(), data))
 
-    def pixels(self, message: _Message) -> AnyArray:
-        data = memoryview(message.data)  # bytes would be copied
+    def pixels(self, message: Timed[bytes]) -> AnyArray:
+        data = memoryview(message.item)  # bytes would be copied
         return self.stream.pixels(TYPES.deserialize_cdr(data, self.stream.topic.type), copy=False)
 
 
@@ -296,7 +288,7 @@ class Ros2Camera(Camera):
                 if not depth.reader.entity.get_matched_publications():
                     raise SourceError(f"nobody publishes {name}; start the camera's ROS 2 driver")
                 raise SourceError(f"the {info.title} has sent only {len(depth.waiting)} images in {_OPENING_S:g} s")
-        stamps_s = np.array([message.stamp_s for message in depth.waiting])
+        stamps_s = np.array([message.time_s for message in depth.waiting])
         if not stamps_s.any():
             raise SourceError(f"the images on {name} have no time stamps in their headers")
         for stream in self._streams:
@@ -313,10 +305,10 @@ class Ros2Camera(Camera):
         if not self._is_complete():
             return None
         message = self._depth.waiting.popleft()
-        color = self._partner(message.stamp_s)
-        self._number += max(1, round((message.stamp_s - self._last_s) * self.rate_hz)) if self._number else 1
-        self._last_s = message.stamp_s
-        return Images(self._number, self._depth.pixels(message), color, message.stamp_s)
+        color = self._partner(message.time_s)
+        self._number += max(1, round((message.time_s - self._last_s) * self.rate_hz)) if self._number else 1
+        self._last_s = message.time_s
+        return Images(self._number, self._depth.pixels(message), color, message.time_s)
 
     def _take(self) -> None:
         for stream in self._streams:
@@ -329,15 +321,15 @@ class Ros2Camera(Camera):
         oldest = self._depth.waiting[0]
         if self._color is None or time.monotonic() - oldest.arrival_s > _PATIENCE_S:
             return True
-        return bool(self._color.waiting) and self._color.waiting[-1].stamp_s >= oldest.stamp_s
+        return bool(self._color.waiting) and self._color.waiting[-1].time_s >= oldest.time_s
 
     def _partner(self, stamp_s: float) -> Uint8Array | None:
         """Return the colour image nearest in time, at most half a period apart; forget those before it."""
         if self._color is None:
             return None
         waiting = self._color.waiting
-        while len(waiting) > 1 and abs(waiting[1].stamp_s - stamp_s) <= abs(waiting[0].stamp_s - stamp_s):
+        while len(waiting) > 1 and abs(waiting[1].time_s - stamp_s) <= abs(waiting[0].time_s - stamp_s):
             waiting.popleft()
-        if not waiting or abs(waiting[0].stamp_s - stamp_s) > 0.5 / self.rate_hz * (1 + 1e-6):
+        if not waiting or abs(waiting[0].time_s - stamp_s) > 0.5 / self.rate_hz * (1 + 1e-6):
             return None
         return self._color.pixels(waiting[0])

@@ -43,7 +43,7 @@ def equations(cells, inside, trust_m, bias_m=0.0):
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
     push = cells.push_per_m
     even = kernels.link_cells(inside, cells, measured, push, np.float32(trust_m), places, links, floors, loads)
-    return kernels.Equations(places, links, floors, even), loads
+    return (places, links, floors, even), loads
 
 
 def square_cells(difference_m, push):
