@@ -191,8 +191,8 @@ def calibrate_force(
         Path,
         typer.Option(
             metavar="FILE",
-            help="A CSV file with the columns frame (as tactune run prints it) or time_s (since the first frame), and "
-            "force_n: what a scale or a force sensor read.",
+            help="A CSV file with the columns frame (as tactune run prints it) or time_s (since the first frame, or "
+            "stamps as of --json), and force_n: what a scale or a force sensor read.",
         ),
     ],
     preset: PresetOption = None,
@@ -230,7 +230,8 @@ def calibrate_force(
     if stopped.is_set():
         raise KeyboardInterrupt
     if not presses:
-        raise CalibrationError(unused[0] if unused else f"no row of {forces} belongs to a frame of {source}")
+        nowhere = f"no row of {forces} belongs to a frame of {source}; time_s counts from its first frame, or in stamps"
+        raise CalibrationError(unused[0] if unused else nowhere)
     if unused:
         warn(f"{len(unused)} of {counted(len(unused) + len(presses), 'force')} not used: {unused[0]}")
     found = fit_inflation(presses)

@@ -24,6 +24,7 @@ _SHARED_ERROR, _WEAKER, _LARGEST_RESIDUAL = 0.05, 2.0, 0.5
 #: What a membrane can be pressed with, N, and the largest usual pressure of a soft one, Pa.
 _FORCES_N: Final = 1e-3, 1e3
 _USUAL_PA: Final = 10_000.0
+_STAMPS_FROM_S: Final = 1e8  # three years
 _COLUMNS: Final = "frame,force_n or time_s,force_n"
 
 
@@ -107,7 +108,10 @@ def fit_inflation(presses: Sequence[Press]) -> Inflation:
 
 
 class Forces(NamedTuple):
-    """A log of forces: by the number of a frame, or by the time since the first frame, (N,) each, increasing."""
+    """A log of forces: by the number of a frame, or by the time, (N,) each, increasing.
+
+    Times since the first frame are small, stamps as `tactune run --json` prints them count from 1970.
+    """
 
     by_time: bool
     at: Float64Array
@@ -118,14 +122,14 @@ class Forces(NamedTuple):
         if not self.by_time:
             found = np.flatnonzero(self.at == frame.sequence)
             return float(self.force_n[found[0]]) if len(found) else None
-        time_s = frame.proximity_time_s - start_s
+        time_s = frame.proximity_time_s - (start_s if self.at[0] < _STAMPS_FROM_S else 0.0)
         if not self.at[0] <= time_s <= self.at[-1]:
             return None
         return float(np.interp(time_s, self.at, self.force_n))
 
 
 def read_forces(path: Path | str) -> Forces:
-    """Read a CSV file with the columns ``frame`` or ``time_s`` (since the first frame) and ``force_n``.
+    """Read a CSV file with the columns ``frame`` or ``time_s`` (since the first frame, or stamps) and ``force_n``.
 
     Raises
     ------

@@ -101,6 +101,7 @@ def test_a_press_of_the_simulator_tells_its_pressure():
         ("Frame;Force_N\n7;2,5\n", 7, 0.0, 2.5),
         ("time_s,force_n\n1,10\n0,0\n", 0, 0.25, 2.5),
         ("time_s,force_n\n0,0\n1,10\n", 0, 1.25, None),
+        ("time_s,force_n\n1.7e9,0\n1700000001,10\n", 0, 1.7e9 - 4.75, 2.5),  # stamps
         ("frame,force_n\n3,1.5\n", 4, 0.0, None),
     ],
 )
