@@ -16,7 +16,7 @@ Link = Literal["alignment", "bias", "noise", "missing depth"]
 _ADVICE: Final[Mapping[Link, str]] = {
     "alignment": "more points, at another inflation, improve it",
     "bias": "a firm press of a larger object measures it better",
-    "noise": "a nearer or less noisy camera reduces it; with the membrane test averaged frames do, too, where nothing moves",
+    "noise": "a nearer camera reduces it; the membrane test's averaged frames do, too, where nothing moves",
     "missing depth": "light the membrane evenly, and check that the tactile camera sees all of it",
 }
 
