@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from platformdirs import user_config_dir, user_data_dir
 from PyQt6.QtCore import QBuffer, QObject, QTimer
 from PyQt6.QtWidgets import QApplication
 
@@ -19,7 +20,7 @@ from ..widgets.basics.controls import timer
 from ..widgets.basics.icons import app_icon
 from ..widgets.basics.messages import Severity
 from ..widgets.basics.style import use_style
-from .settings import Settings, default_data_folder, default_settings_file
+from .settings import Settings
 from .window.main_window import MainWindow
 from .worker.threads import wait_for_abandoned
 
@@ -38,8 +39,8 @@ def run_gui(source: str | None, preset: str | None, screenshot: Path | None, aft
     application = make_application()
     with TemporaryDirectory(prefix="tactune-") as folder:
         # A screenshot neither depends on remembered settings nor changes them.
-        settings = Settings(default_settings_file() if screenshot is None else Path(folder) / "window.json")
-        data_folder = default_data_folder() if screenshot is None else Path(folder)
+        settings = Settings(Path(folder if screenshot else user_config_dir("tactune")) / "window.json")
+        data_folder = Path(folder if screenshot else user_data_dir("tactune"))
         window, name = show_window(source, preset, settings, data_folder)
         picture = None if screenshot is None else _Screenshot(window, screenshot, after)
         window.open_source(name) if picture is None else window.open_named(name)

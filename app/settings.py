@@ -8,7 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import platformdirs
 from PyQt6.QtCore import QByteArray, QLockFile
 
 from ..core.errors import ExportError
@@ -21,19 +20,6 @@ RECENT_LIMIT = 10
 _WRITE_AFTER_MS: Final = 1000
 #: Longest wait for another window that is writing, ms.
 _LOCK_MS: Final = 1000
-
-
-def default_data_folder() -> Path:
-    """Return the operating system's folder for application data, used for unsaved work."""
-    return Path(platformdirs.user_data_dir("tactune"))
-
-
-def default_settings_file() -> Path:
-    return Path(platformdirs.user_config_dir("tactune")) / "window.json"
-
-
-def default_recordings_folder() -> Path:
-    return Path(platformdirs.user_documents_dir()) / "Tactune"
 
 
 class Settings:

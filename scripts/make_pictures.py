@@ -86,7 +86,8 @@ def opened(changes: dict[str, object] | None = None) -> Iterator[MainWindow]:
 
 
 def save(widget: QWidget, name: str) -> None:
-    """Write what a widget shows."""
+    """Write what a widget shows when its drawing is done."""
+    settle()
     path = FOLDER / f"{name}.png"
     if not widget.grab().save(str(path)):
         raise OSError(f"{path} cannot be written")
@@ -120,7 +121,6 @@ def set_up() -> None:
         window.resize(1280, 720)
         window.set_up.start.click()
         wait(lambda: not window.set_up.running, "verdict")
-        settle()
         save(window.set_up, "set-up")
 
 
@@ -128,7 +128,6 @@ def mask() -> None:
     """The images while the eyedropper is in use."""
     with opened() as window:
         window.eyedropper.use("set")
-        settle()
         save(window.strip, "mask")
 
 
@@ -154,7 +153,6 @@ def pressure() -> None:
         window.views.choose_colors(ColorBy.PRESSURE)
         show_frame(window, PRESSED_FRAME)
         wait(lambda: window.result is not None and window.result.rendered.color_by is ColorBy.PRESSURE, "colours")
-        settle()
         save(window.views, "pressure")
 
 
@@ -165,7 +163,6 @@ def suggestions() -> None:
         shown = window.suggest.window
         assert shown is not None
         wait(lambda: not shown.job.busy, "suggestion")
-        settle()
         save(shown, "suggestions")
 
 
@@ -188,7 +185,6 @@ def wizard_points() -> None:
     """The wizard with the pairs that it found."""
     with calibrated() as wizard:
         wizard.go_to(wizard.pages.index(wizard.points))
-        settle()
         save(wizard, "wizard-points")
 
 
@@ -197,21 +193,11 @@ def quality() -> None:
     with calibrated() as wizard:
         wizard.go_to(wizard.pages.index(wizard.quality))
         wait(lambda: not wizard.quality.map.notice.text(), "map")
-        settle()
         save(wizard, "quality")
 
 
-PICTURES: dict[str, Callable[[], None]] = {
-    "window": window,
-    "set-up": set_up,
-    "mask": mask,
-    "panel-membrane": panel_membrane,
-    "panel-tolerance": panel_tolerance,
-    "pressure": pressure,
-    "suggestions": suggestions,
-    "wizard-points": wizard_points,
-    "quality": quality,
-}
+_MAKERS = (window, set_up, mask, panel_membrane, panel_tolerance, pressure, suggestions, wizard_points, quality)
+PICTURES = {make.__name__.replace("_", "-"): make for make in _MAKERS}
 
 
 def main() -> None:

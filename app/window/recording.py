@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
+from platformdirs import user_documents_dir
 from PyQt6.QtCore import QLocale, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QFrame
@@ -22,7 +23,6 @@ from ...widgets.basics.controls import ElidedLabel, TintedLabel, keep_place, num
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
-from ..settings import default_recordings_folder
 from ..sources.pages import RECENT
 from ..worker.results import SourceInfo, SourceState
 from ..worker.worker import NOT_LIVE
@@ -83,7 +83,7 @@ class RecordingBar(QFrame):
         self._messages.show_message("recording", Severity.INFO, f"New recordings will be written to {folder}.")
 
     def start(self) -> None:
-        folder = Path(self._settings.text(_FOLDER, str(default_recordings_folder())))
+        folder = Path(self._settings.text(_FOLDER) or Path(user_documents_dir(), "Tactune"))
         try:
             folder.mkdir(parents=True, exist_ok=True)
             free = free_bytes(folder)
