@@ -70,13 +70,7 @@ _VERDICTS: Final = {
     Provenance.NO_PROXIMITY_DEPTH: _Shown("no depth", (242, 242, 242), (26, 26, 26)),
 }
 #: Verdicts on points that agreed in distance; later steps decided.
-LATE_VERDICTS: Final = (
-    Provenance.MASKED,
-    Provenance.OUTLIER,
-    Provenance.SMALL_CLUSTER,
-    Provenance.RIM,
-    Provenance.CONTACT,
-)
+LATE_VERDICTS: Final = tuple(Provenance)[Provenance.MASKED :]
 #: Near and far end of the relief around a patch.
 _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
 

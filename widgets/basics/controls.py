@@ -236,8 +236,7 @@ class ElidedLabel(QLabel):
     def sizeHint(self) -> QSize:
         return QSize(0, self.fontMetrics().height() + 4)  # also while empty: nothing jumps
 
-    def minimumSizeHint(self) -> QSize:
-        return self.sizeHint()
+    minimumSizeHint = sizeHint
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
         shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)

@@ -24,15 +24,8 @@ from PyQt6.QtWidgets import (
 
 from .theme import GRID, THEME, ThemeChoice, ThemeName, make_palette, theme_colors
 
-_Metric = QStyle.PixelMetric
-_METRICS: Final = {
-    _Metric.PM_LayoutLeftMargin: 2 * GRID,
-    _Metric.PM_LayoutTopMargin: 2 * GRID,
-    _Metric.PM_LayoutRightMargin: 2 * GRID,
-    _Metric.PM_LayoutBottomMargin: 2 * GRID,
-    _Metric.PM_LayoutHorizontalSpacing: 2 * GRID,
-    _Metric.PM_LayoutVerticalSpacing: 2 * GRID,
-}
+#: Margins and spacings of layouts.
+_SPACINGS: Final = frozenset(metric for metric in QStyle.PixelMetric if metric.name.startswith("PM_Layout"))
 
 #: Largest width of a tooltip: lines of about 60 characters.
 _MAX_TIP_PX: Final = 400
@@ -70,7 +63,7 @@ class _Style(QProxyStyle):
     def pixelMetric(
         self, metric: QStyle.PixelMetric, option: QStyleOption | None = None, widget: QWidget | None = None
     ) -> int:
-        return _METRICS.get(metric) or super().pixelMetric(metric, option, widget)
+        return 2 * GRID if metric in _SPACINGS else super().pixelMetric(metric, option, widget)
 
     def styleHint(
         self,

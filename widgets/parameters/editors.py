@@ -82,8 +82,7 @@ class NumberEntry(QAbstractSpinBox):
         texts = [f"{end * spec.factor:.{spec.decimals}f}" for end in ends]
         return QSize(max(map(self.fontMetrics().horizontalAdvance, texts)) + 8, super().sizeHint().height())
 
-    def minimumSizeHint(self) -> QSize:
-        return self.sizeHint()
+    minimumSizeHint = sizeHint
 
     def event(self, event: QEvent | None) -> bool:
         """Leave undo, redo and the comma to the window unless something was typed."""
