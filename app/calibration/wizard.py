@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -76,7 +75,8 @@ class CalibrationWizard(QDialog):
         self.steps = QButtonGroup(self)
         buttons = []
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
-            button = choice_button(f"&{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
+            keys = f"Ctrl+{number + 1}"
+            button = choice_button(f"&{number + 1}  {name}", f"{tip} ({keys})", keys)
             button.setFlat(True)  # as the modes of the main window
             button.setMinimumHeight(30)
             button.setMinimumWidth(124)
@@ -91,7 +91,7 @@ class CalibrationWizard(QDialog):
             self.stack.addWidget(page)
         self.verdict = wrapped_label()
         self.back = push_button("&Back", "To the step before (Ctrl+Page Up)", "Ctrl+PgUp")
-        self.next = push_button("&Next", "To the next step (Ctrl+Page Down)")
+        self.next = push_button("&Next", "To the next step (Ctrl+Page Down)", "Ctrl+PgDown")
         self.save = push_button(
             "S&ave preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
         )
@@ -119,7 +119,7 @@ class CalibrationWizard(QDialog):
         session = self.session
         self.steps.idClicked.connect(self.go_to)
         self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
-        self.next.clicked.connect(self.go_on)
+        self.next.clicked.connect(lambda: self.go_to(self.stack.currentIndex() + 1))
         self.over.clicked.connect(self.start_over)
         self.save.clicked.connect(self.save_preset)
         self.leave.clicked.connect(self.close)
@@ -139,13 +139,7 @@ class CalibrationWizard(QDialog):
             *(self._document.presetChanged, self._document.fileChanged),
         ):
             changed.connect(self._show_steps)
-        shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
-            ("Ctrl+PgDown", self.go_on),
-            ("Ctrl+S", self.save_preset),
-            *((f"Ctrl+{number + 1}", partial(self.go_to, number)) for number in range(len(STEPS))),
-        )
-        for keys, action in shortcuts:
-            QShortcut(QKeySequence(keys), self).activated.connect(action)
+        QShortcut(QKeySequence("Ctrl+S"), self).activated.connect(self.save_preset)  # on each page
 
     # Steps
 
@@ -154,11 +148,6 @@ class CalibrationWizard(QDialog):
         views: dict[QWidget | None, QWidget] = {self.points: self.points.views, self.check: self.check.image}
         view = views.get(self.stack.currentWidget())
         return 0 if view is None else self.stack.height() - view.mapTo(self.stack, view.rect().bottomLeft()).y()
-
-    def go_on(self) -> None:
-        """Show the next step, unless this one lacks something, which the line beside the button says."""
-        if not self._missing(self.stack.currentIndex()):
-            self.go_to(self.stack.currentIndex() + 1)
 
     def go_to(self, number: int) -> None:
         """Show a step."""

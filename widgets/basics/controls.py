@@ -63,9 +63,9 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     return button
 
 
-def choice_button(text: str, tip: str) -> QPushButton:
+def choice_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     """Return a checkable button; the style fills checked ones with the accent colour."""
-    button = push_button(text, tip)
+    button = push_button(text, tip, shortcut)
     button.setCheckable(True)
     return button
 
