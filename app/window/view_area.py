@@ -194,9 +194,12 @@ class ViewArea(QWidget):
             (cloud, message), *right = (_shown(name, side) for side in sides)
             legends = [legend_of(name, side.rendered, theme) for side in sides]
             others = [entry for entry in legends[-1] if entry not in legends[0]]
-            self._show_cloud(name, cloud, message, legends[0] + others)
+            view = self.views[name]
+            view.set_cloud(cloud)
+            view.set_message(message)
+            view.header.set_entries(legends[0] + others if cloud is not None else [])
             for other in right:
-                self.views[name].set_right(*other)
+                view.set_right(*other)
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
             self._any_view().refocus()
@@ -222,12 +225,6 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_cloud(None)
             view.set_message(message)
-
-    def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
-        view = self.views[name]
-        view.set_cloud(cloud)
-        view.set_message(message)
-        view.header.set_entries(legend if cloud is not None else [])
 
     def _show_large(self) -> None:
         """Let the large view alone show legend and axes; the others have the same colours and directions."""
