@@ -177,11 +177,6 @@ def test_the_same_camera_twice_is_refused(tmp_path):
         BagSource(f"{path},{copy}")
 
 
-@pytest.fixture
-def two_cameras(tmp_path):
-    return make_bag(tmp_path / "two.bag", D405, L515)
-
-
 ONE = [1.0]
 BAD = {
     "no depth": ([Device("L515", None, color_images(1, ONE))], "it holds no depth images"),
