@@ -75,11 +75,6 @@ class MembraneDrift:
     verdict: Verdict
     sentence: str
 
-    @property
-    def largest_m(self) -> float:
-        """The largest of the motions and the change of inflation, metres."""
-        return max(*self.moved_m.values(), abs(self.inflation_m))
-
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present membrane with the untouched frame; `CalibrationError` if too little is seen in both."""
@@ -339,7 +334,8 @@ class RigCheck:
             if self.alignment.recalibrate:
                 bad.append(self.alignment.sentence)
         if isinstance(self.membrane, MembraneDrift):
-            good.append(f"membrane moved by {1e3 * self.membrane.largest_m:.1f} mm")
+            moved_m = max(*self.membrane.moved_m.values(), abs(self.membrane.inflation_m))
+            good.append(f"membrane moved by {1e3 * moved_m:.1f} mm")
             if self.membrane.verdict != "fine":
                 bad.append(self.membrane.sentence)
         if self.state == "unknown":

@@ -57,15 +57,6 @@ class Cloud(NamedTuple):
     pixels: IndexArray
 
 
-class Coordinates(NamedTuple):
-    """Coordinates of ``length`` points, float32, metres, padded with points far away to a whole vector."""
-
-    length: int
-    xs: Float32Array
-    ys: Float32Array
-    zs: Float32Array
-
-
 @inline
 def _side_distance(normal: Any, normal_z: Any, across: Any, z: Any) -> Any:
     """Return the distance between a point and a side plane, minus the rounding error."""
@@ -218,14 +209,14 @@ def _bound_of_nearest(nearest: Any, k: Any) -> Any:
 
 
 @inline
-def _squares_to_all(x: Any, y: Any, z: Any, all_points: Any, squares: Any, nearest: Any) -> None:
-    """Write the squared distances to all points, and the least ones of each group."""
+def _squares_to_all(i: Any, planes: Any, vectors: Any, squares: Any, nearest: Any) -> None:
+    """Write the squared distances from a point to all, and the least ones of each group."""
+    xs, ys, zs = planes
+    x, y, z = floats(xs[i]), floats(ys[i]), floats(zs[i])
     for group in range(_GROUPS):
         store(nearest, group * LANES, floats(_HUGE))
-    for j in range((all_points.length + LANES - 1) // LANES):
-        dx = floats(x) - load(all_points.xs, j * LANES)
-        dy = floats(y) - load(all_points.ys, j * LANES)
-        dz = floats(z) - load(all_points.zs, j * LANES)
+    for j in range(vectors):
+        dx, dy, dz = x - load(xs, j * LANES), y - load(ys, j * LANES), z - load(zs, j * LANES)
         square = multiply_add(dz, dz, multiply_add(dy, dy, dx * dx))
         group = j % _GROUPS * LANES
         store(squares, j * LANES, square)
@@ -233,17 +224,17 @@ def _squares_to_all(x: Any, y: Any, z: Any, all_points: Any, squares: Any, neare
 
 
 @kernel
-def search_all(chosen: Any, all_points: Any, k: Any, squares: Any, kept: Any, means: Any) -> None:
+def search_all(chosen: Any, planes: Any, count: Any, k: Any, squares: Any, kept: Any, means: Any) -> None:
     """Write the mean distance of chosen points to their k nearest, comparing each with every point of the cloud.
 
-    ``chosen`` (M,) are numbers of points, ``all_points`` are `Coordinates`; ``squares`` and ``kept`` are buffers of
-    float32 with an element for every point and two vectors more; ``k`` and ``means`` as in `search_points`.
+    ``chosen`` (M,) are numbers of points, ``planes`` x, y and z of ``count`` points, float32, metres, padded with
+    points far away to a whole vector; ``squares`` and ``kept`` are buffers of float32 with an element for every point
+    and two vectors more; ``k`` and ``means`` as in `search_points`.
     """
-    count = all_points.length
     vectors = (count + LANES - 1) // LANES
     nearest, minima = _nearest(), _minima()
     for i in chosen:
-        _squares_to_all(all_points.xs[i], all_points.ys[i], all_points.zs[i], all_points, squares, nearest)
+        _squares_to_all(i, planes, vectors, squares, nearest)
         # The k smallest of the groups' least distances are distances, so the k-th of them bounds the k-th of all.
         bound = _bound_of_nearest(nearest, k) if k <= _GROUPS * LANES else _HUGE
         found = 0

@@ -23,7 +23,7 @@ from ..kernels.simd import LANES
 from ..kernels.threads import get_threads, in_parallel, scratch
 from .clusters import keep
 from .grid import FAR, MAX_POINT_RADIUS, NUMBER, Grid
-from .point_search import Cloud, Coordinates, search_all, search_points
+from .point_search import Cloud, search_all, search_points
 from .row_search import search_rows
 
 #: Bound of the relative error of a float32 mean: distances differ by at most 3 units in the last place from the exact
@@ -110,15 +110,14 @@ def near_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int, pre
 
 def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Float64Array) -> None:
     """Write the mean distance of the points numbered in ``left`` to their k nearest, comparing with every point."""
-    planes = (scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
-    all_points = Coordinates(len(points), *planes)
-    for plane, coordinates in zip((all_points.xs, all_points.ys, all_points.zs), points.T, strict=True):
+    planes = tuple(scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
+    for plane, coordinates in zip(planes, points.T, strict=True):
         plane[: len(points)] = coordinates
         plane[len(points) : len(points) + LANES] = FAR
 
     def compare(first: int, last: int) -> None:
         squares, kept = (scratch(name, len(points) + 2 * LANES, np.float32) for name in ("squares", "kept"))
-        search_all(left[first:last], all_points, k, squares, kept, means)
+        search_all(left[first:last], planes, len(points), k, squares, kept, means)
 
     alone = len(left) * len(points) <= MAX_PAIRS_ONE_THREAD
     in_parallel(compare, len(left), len(left) if alone else _COMPARED)
