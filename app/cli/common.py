@@ -247,12 +247,16 @@ def open_with_progress(name: str, preset: Preset | None = None, *, compiles: boo
 
     with CliProgress() as progress:
         source = open_source(name, progress.preparing, None if preset is None else preset.cameras)
-    from ...core.contact.checks import check_rig  # not above: a wrong name is told before this loads the compiler
+    from ...core.contact.checks import (
+        check_rig,
+        check_test,
+    )  # not above: a wrong name is told before this loads the compiler
 
     with source:
         if preset is not None:
             warn(*check_rig(preset, source.rig))
         if preset is not None and compiles:
+            check_test(preset, source.rig)  # before it compiles for a quarter of a minute
             from ...core.warmup import warm_up_if_needed
 
             with CliProgress() as progress:

@@ -269,7 +269,8 @@ def check_target(target: Path, preset: str | None) -> None:
     own = preset is not None and target == Path(preset)
     if target.suffix == ".mcap" or (own and not target.is_file()):
         raise PresetError(
-            f"{target} is no preset file, so nothing can be stored in it; make one with tactune preset new --from"
+            f"{target} is no preset file, so nothing can be stored in it; make one with "
+            f"tactune preset new --from default --rig SOURCE --out {target.with_suffix('.json')}"
         )
     if not own:
         refuse_existing(target)
