@@ -57,7 +57,7 @@ _OF_WINDOW, _PER_BEND, _NOISE_BENDS = 0.5, 1.3, 0.886
 _GUESSED: Final = 2.0
 #: What lies this many cells behind contact, and more steeply than the second around it, is the membrane that the camera
 #: sees past a deep dent. It is looked for in steps of so many cells.
-_BEHIND, _STEEP, _PAST = 2.0, 1.5, (1, 1, 2, 2, 2, 2, 2)
+_BEHIND, _STEEP, _PAST = 2.0, 1.0, (1, 1, 2, 2, 2, 2, 2)
 _NOWHERE_M: Final = 1000.0  # Farther than any depth
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
 #: around tells its tension.
