@@ -68,8 +68,9 @@ _BOTH_SHARE: Final = 0.05
 _MODEL_SHARE: Final = 0.05
 #: The force and the sum of area times pressure differ by less than this many standard deviations of the force.
 _APART_SIGMAS: Final = 2.5
-#: A contact with fewer flat cells is too small to look flat. What looks flat elsewhere has at most this level.
-_SMALL_CELLS, _OUTSIDE = 4, -0.1
+#: A contact with fewer flat cells is too small to look flat. Levels: the highest of what looks flat elsewhere; and that
+#: of what does not, between flat cells.
+_SMALL_CELLS, _OUTSIDE, _INSIDE = 4, -0.1, 0.1
 #: Beyond this many standard deviations a cell tells nothing of the free membrane.
 _CUT: Final = 2.5
 
@@ -363,7 +364,12 @@ class _Now:
             self.flatness = self._flatness()
             level = self.flatness - section.share
             flat = _parts_with((level > 0) & (self._moved_m > 0), pressed, _SMALL_CELLS)
-        inside = np.where(flat, level, np.fmin(level, _OUTSIDE))
+            # noise makes holes: what is pressed between flat cells, and not bulged, belongs to them
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+            between = cv2.morphologyEx(flat.view(np.uint8), cv2.MORPH_CLOSE, disc) > flat
+            between &= pressed & (level > -section.share)
+        flat |= between
+        inside = np.where(flat, np.where(between, _INSIDE, level), np.fmin(level, _OUTSIDE))
         self.edge_window = _EDGE
         reach = 2 * math.ceil(self._rest.window) + 1
         small = pressed & (cv2.dilate(flat.view(np.uint8), np.ones((reach, reach), np.uint8)) == 0)
