@@ -55,20 +55,6 @@ def test_the_next_frames_become_the_untouched_frame_as_one_step(qtbot, window):
     assert window.document.preset.untouched == record
 
 
-def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
-    def moving(index, rig):
-        """From its fifth frame on, the whole membrane is pushed in by 8 mm."""
-        frame = tiny_frame(index, rig)
-        pushed = (frame.tactile_depth - (80 if index >= 4 else 0)).astype(np.uint16)
-        return replace(frame, sequence=500 + index, tactile_depth=pushed)
-
-    show_source(qtbot, window, FakeSource(make=moving, name="moving"), 2)
-    opened = capture(qtbot, window, 6)
-    assert "moved while" in opened.sentence.text()
-    assert window.document.preset.untouched is None
-    qtbot.waitUntil(lambda: at_rest(window, 2))
-
-
 def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch):
     monkeypatch.setattr(measuring_step, "PATIENCE_S", 600.0)
     show_source(qtbot, window, FakeSource(8, name="short", ends_at=5), 0)

@@ -191,11 +191,6 @@ def test_unchanged_steps_are_skipped_and_a_larger_value_finds_less(pressed):
         ContactPipeline(preset, rig).process(frame)
 
 
-def test_noise_that_was_not_measured_is_a_doubt(pressed):
-    rig, _, frame, untouched = pressed
-    assert "noise not measured" in ContactPipeline(PRESSURE, rig, untouched).process(frame).doubt.reasons
-
-
 def test_a_tactile_camera_that_lies_on_its_side_tells_the_same_force():
     with open_source("sim:cup?press=medium") as source:
         rig, frame, untouched, preset = source.rig, source.next_frame(), untouched_frame(source), PRESSURE
