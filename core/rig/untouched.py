@@ -23,6 +23,7 @@ from ..sources.base import FrameSource, Progress
 
 #: Number of averaged frames; more reduce the noise little further.
 UNTOUCHED_FRAMES: Final = 15
+_ENOUGH: Final = 8  # before a touch, as in a recording
 #: Movement: the median depth of image tiles of this side length, pixels, changes by more than a share of the depth
 #: (2 mm at 300 mm) and by more than a number of robust standard deviations of all tiles, in more than a share of them.
 TILE_PX: Final = 16
@@ -45,11 +46,16 @@ class FoundUntouched:
 
 
 def average_untouched(frames: Iterable[SensorFrame]) -> Snapshot:
-    """Average a few frames of the untouched membrane: the median of each pixel."""
+    """Average a few frames of the untouched membrane, or those before a touch: the median of each pixel."""
     held: list[SensorFrame] = []
     for frame in frames:
+        try:
+            _refuse_movement((held or [frame])[0], frame, len(held) + 1)
+        except CalibrationError:
+            if len(held) < _ENOUGH:
+                raise
+            break
         held.append(frame)
-        _refuse_movement(held[0], frame, len(held))
     return take_snapshot(held)
 
 

@@ -185,7 +185,9 @@ def suggest_pressure(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the smallest pressure that the measured noise allows, as a share of the inflation."""
     preset, untouched = evidence.preset, evidence.untouched
     if preset.noise is None or untouched is None:
-        raise AdviceError("pressure: capture the untouched frame; measure the noise (F6, tactune preset measure-rig)")
+        lacks = ["capture the untouched frame"] if untouched is None else []
+        lacks += ["measure the noise (F6, tactune preset measure-rig)"] if preset.noise is None else []
+        raise AdviceError(f"pressure: {'; '.join(lacks)}")
     in_use = preset.with_value("contact_test", "pressure")
     facts = ContactPipeline(in_use, evidence.rig, untouched).process(untouched).pressure
     if facts is None or not math.isfinite(facts.relative_sigma):

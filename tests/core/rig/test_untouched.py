@@ -74,6 +74,7 @@ def test_something_that_touches_meanwhile_is_refused(counts, size, refused):
         return
     with pytest.raises(CalibrationError, match=r"moved while .* frame 5 .* 2\.\d %"):
         average_untouched(frames)
+    assert average_untouched([*map(untouched_image, range(8)), frames[-1]]).frames == 8, "those before it are enough"
 
 
 def test_noise_that_neighbours_share_is_no_movement():

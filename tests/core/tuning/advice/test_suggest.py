@@ -126,8 +126,9 @@ def test_the_tolerance_follows_from_the_noise_of_the_rig(evidence, suggest):
     noise = rig_noise(0.0015, 0.0, 0.285, bias_m=0.0, bias_sigma_m=0.001, bias_from="prints")
     proposal = suggest("tolerance", evidence(TOLERANCE.model_copy(update={"noise": noise})))
     assert proposal.apply(TOLERANCE).tolerance.t == pytest.approx(2 * math.hypot(1.5, 1.5) / 285, rel=0.05)
-    with pytest.raises(AdviceError, match="noise"):
-        suggest("tolerance", evidence(TOLERANCE))
+    for section, asked in (("tolerance", "noise"), ("pressure", "pressure: measure the noise")):  # and nothing else
+        with pytest.raises(AdviceError, match=asked):
+            suggest(section, evidence(TOLERANCE.with_value("contact_test", section)))
 
 
 @pytest.mark.parametrize("spoiled_m", [0.012, -0.009])
