@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from drifting import AVERAGED, Drift, drifted, untouched
+from rigs import one_place_rig
 from tactune.core.calibration.check import Drift as AlignmentDrift
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.errors import CalibrationError, FrameError
+from tactune.core.model.frames import Rig, SensorFrame, Shot
 from tactune.core.preset import Preset
 from tactune.core.rig.drift import INTERVAL_S, RigCheck, Watch, compare_with_untouched
 from tactune.core.sources.presets import load_preset
@@ -51,6 +53,19 @@ def test_a_change_is_found_with_its_size(drift, verdict, what, value_m, said):
     value = found.inflation_m if what == "inflation" else found.moved_m[what]
     assert value == pytest.approx(value_m, rel=0.25, abs=0.0002)
     assert said in found.sentence
+
+
+def test_an_inflation_that_changed_is_no_touch_where_most_of_the_image_is_a_rim():
+    rig = Rig.of_one_camera(one_place_rig(128, 96, 90.0).tactile)
+    v, u = np.mgrid[:96, :128]
+    bulge = np.sqrt(np.maximum(1 - ((v - 48) ** 2 + (u - 64) ** 2) / 26**2, 0))
+    now, before = (
+        SensorFrame.of_shots(rig, 0, None, Shot((1300 + 10 * apex_mm * bulge + noise).astype(np.uint16), None, 0.0))
+        for apex_mm, noise in zip((40, 30), np.random.default_rng(0).normal(0, 1, (2, 96, 128)), strict=True)
+    )
+    found = compare_with_untouched(Preset(), rig, now, before)
+    assert found.verdict == "inflation"
+    assert found.inflation_m == pytest.approx(0.010, rel=0.1)
 
 
 def test_a_dent_is_a_touch_and_no_drift():
