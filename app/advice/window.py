@@ -106,7 +106,7 @@ class SuggestWindow(QDialog):
         self._section = ALL
         self._shown: Side | None = None
         self._applied = -1  # the place in the undo stack, until something else was done
-        self.job = Job(self, done=self._show_found, failed=self._show_failure)
+        self.job = Job(self, self._show_found, lambda sentence: self._say(as_sentence(sentence)) if sentence else None)
         self.cards: list[ProposalCard] = []
         self.working = JobRow(self.job)
         self.sentence = wrapped_label()
@@ -196,10 +196,6 @@ class SuggestWindow(QDialog):
             self._say("The present values already follow from the evidence.")
         self.compare.setChecked(True)
         self._choice_changed()
-
-    def _show_failure(self, sentence: str) -> None:
-        if sentence:
-            self._say(as_sentence(sentence))
 
     def _show_busy(self, busy: bool) -> None:
         self.again.setEnabled(not busy)

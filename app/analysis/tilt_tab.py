@@ -95,9 +95,9 @@ class TiltTab(LiveTab):
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
         lut = patch_lut(THEME.name).copy()
         lut[_PLANE_ROW] = (*_PITCH_RGB, 255)
-        cloud = free_cloud(np.concatenate([points, lines]), colors, lut, count=len(points))
         self.cloud.set_message("No contact yet: press the object into the membrane, or play to a frame with contact")
-        self.cloud.set_cloud(cloud if len(points) else None)
+        both = np.concatenate([points, lines])
+        self.cloud.set_cloud(free_cloud(both, colors, lut, count=len(points)) if len(points) else None)
         plane = [("fitted plane", QColor(*_PITCH_RGB))] if len(lines) else []
         self.cloud.header.set_entries([("patch", CONTACT_COLOR), *plane])
         self.roll.setText(f"Roll {degrees_text(tilt.roll_rad, tilt.roll_sigma_rad)}")

@@ -116,17 +116,13 @@ _LEVELS = 65533
 _MIN_SPAN_M = 1e-3
 
 
-def free_cloud(points: AnyArray, rows: Uint8Array, lut: Uint8Array, *, count: int | None = None) -> DepthCloud:
-    """Return a cloud of arbitrary points (N, 3), metres, in the frame of the view: an image of one row.
+def free_cloud(points: AnyArray, rows: Uint8Array, lut: Uint8Array, *, count: int) -> DepthCloud:
+    """Return a cloud of one or more points (N, 3), metres, in the frame of the view: an image of one row.
 
     ``rows`` (N,) are those of ``lut``; pixel (0, i) is point i. Depth is 16 bits, so along z points move by up to half
     of 1 / 65533 of the cloud's depth (2.3 um for 300 mm).
     """
-    places = np.asarray(points, np.float64).reshape(-1, 3)
-    if len(places) == 0:
-        nothing = np.zeros((1, 1), np.uint16)
-        rays = np.zeros((1, 1, 2), np.float32)
-        return DepthCloud(nothing, _MIN_SPAN_M, rays, lut, np.eye(4), count=count)
+    places = np.asarray(points, np.float64)
     near = float(places[:, 2].min())
     span = max(float(places[:, 2].max()) - near, _MIN_SPAN_M)
     unit = span / _LEVELS

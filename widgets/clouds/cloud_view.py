@@ -354,9 +354,6 @@ class CloudView(QWidget):
 
 
 def link_cameras(views: Sequence[CloudView]) -> None:
-    """Let all views share one camera, initially that of the first view."""
+    """Let views that are new share one camera."""
     for view in views:
         view._companions = [other for other in views if other is not view]
-    if views:
-        first = views[0]
-        first._move(first.camera(), first._steered)

@@ -45,13 +45,12 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
             if title:
                 item.setLabel(name, title)
 
-    def add_legend(self, columns: int) -> pg.LegendItem:
-        """Return a legend above the axes, where it covers no point; curves with a name enter it."""
+    def add_legend(self, columns: int) -> None:
+        """Add a legend above the axes, where it covers no point; curves with a name enter it."""
         item = self.getPlotItem()
         item.layout.setContentsMargins(0, 24, 0, 0)
         item.legend = pg.LegendItem(offset=(48, 1), colCount=columns)
         item.legend.setParentItem(item)
-        return item.legend
 
     def follow_theme(self, recolor: Callable[[ThemeColors], object] | None = None) -> None:
         """Colour the plot now and when the theme changes; then ``recolor`` colours its curves."""
