@@ -33,7 +33,7 @@ class PressureSection(Section):
             step=0.01,
             limits=(0.0, 1.0),
         ),
-    ] = 0.4
+    ] = 0.35
     noise: Annotated[
         float,
         described(

@@ -51,8 +51,9 @@ _CUT_POWER: Final = 4
 _FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
 _EDGE: Final = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
 #: Error of the edge of contact, share of its window: at least, and for each share of the flatness by which noise bends
-#: the membrane; noise bends by this share of the deviation of twice the mean curvature, in units of the flatness.
-_OF_WINDOW, _PER_BEND, _NOISE_BENDS = 0.5, 1.3, 0.886
+#: the membrane; noise bends by this share of the deviation of twice the mean curvature, in units of the flatness. Of a
+#: contact too small to look flat, share of the window of the curvature.
+_OF_EDGE, _PER_BEND, _NOISE_BENDS, _OF_WINDOW = 0.5, 1.0, 0.886, 0.75
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
 #: What lies this many cells behind contact, and more steeply than the second around it, is the membrane that the camera
@@ -336,7 +337,6 @@ class _Now:
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
         self._scatter = max(scatter, 1.0)
         self.sigma = sigma * (self._scatter / self.grown if self.grown > 0 else math.nan)
-        self.edge_window = rest.window
 
     def contact(self, section: PressureSection) -> Float64Array:
         """Return a level of the cells that is above 0 in contact, and falls through 0 at its edge.
@@ -370,14 +370,14 @@ class _Now:
             between &= pressed & (level > -section.share)
         flat |= between
         inside = np.where(flat, np.where(between, _INSIDE, level), np.fmin(level, _OUTSIDE))
-        self.edge_window = _EDGE
+        self._least_error = _OF_EDGE * _EDGE
         reach = 2 * math.ceil(self._rest.window) + 1
         small = pressed & (cv2.dilate(flat.view(np.uint8), np.ones((reach, reach), np.uint8)) == 0)
         peaks = np.where(pressed, self.relative, 0.0)
         small = _parts_with(small, small & (peaks >= cv2.dilate(peaks, np.ones((3, 3)))))
         count, labels = cv2.connectedComponents(small.view(np.uint8), connectivity=8)
         for number in range(1, count):
-            self.edge_window = self._rest.window
+            self._least_error = _OF_WINDOW * self._rest.window
             own = labels == number
             levels = np.append(np.sort(self.relative[own])[::-1], limit[own].min())
             # number of cells that the window alone raises above the limit where the whole force presses at one point
@@ -421,7 +421,7 @@ class _Now:
         # noise bends what is flat in some direction, by the mean larger curvature that noise alone has
         bent = _NOISE_BENDS * rest.sigma_per_m * (rest.window / _FINE_WINDOW) ** 3 / (self.grown * rest.curvature_per_m)
         flat = max(median(self.flatness.reshape(-1)[cells]), bent)
-        return float(rest.cell_m * max(_OF_WINDOW * self.edge_window, _PER_BEND * _EDGE * bent / flat))
+        return float(rest.cell_m * max(self._least_error, _PER_BEND * _EDGE * bent / flat))
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""
