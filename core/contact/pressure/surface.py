@@ -68,14 +68,15 @@ class Grid(NamedTuple):
         found[self.pixels] = cells.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
         return found.reshape(-1)
 
-    def around(self, cells: BoolArray) -> tuple[int, int, int, int]:
-        """Return left, top, right and bottom of the pixels around the cells that are true."""
+    def part(self, cells: BoolArray) -> tuple[Grid, tuple[slice, slice]]:
+        """Return the part that holds the cells that are true and those beside them, and its rows and columns."""
         found = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
-        (top, bottom), (left, right) = (
-            (CELL_PX * (int(each[0]) - 1) + side.start, CELL_PX * (int(each[-1]) + 2) + side.start)
-            for each, side in zip(found, self.pixels, strict=True)
+        rows, columns = (slice(max(int(each[0]) - 1, 0), int(each[-1]) + 2) for each in found)
+        down, across = (
+            slice(side.start + CELL_PX * own.start, min(side.start + CELL_PX * own.stop, side.stop))
+            for own, side in zip((rows, columns), self.pixels, strict=True)
         )
-        return left, top, right, bottom
+        return Grid(self.x[rows, columns], self.y[rows, columns], self.side, (down, across)), (rows, columns)
 
     def points(self, depth_m: Float64Array) -> Float64Array:
         return np.stack([self.x * depth_m, self.y * depth_m, depth_m], axis=-1)

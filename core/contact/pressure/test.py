@@ -50,6 +50,8 @@ _CUT_POWER: Final = 4
 #: edge of the object bends it far more than a face does.
 _FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
 _EDGE: Final = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
+#: At the edge of contact the flatness is this share of the step from the membrane's to that inside, this quantile.
+_OF_STEP, _PLATEAU = 0.6, 0.7
 #: Error of the edge of contact, share of its window: at least, and for each share of the flatness by which noise bends
 #: the membrane; noise bends by this share of the deviation of twice the mean curvature, in units of the flatness. Of a
 #: contact too small to look flat, share of the window of the curvature.
@@ -124,7 +126,8 @@ class PressureTest(ContactTest):
             self._farthest = now.farthest(self._touching)
             self._seen = NO_CANDIDATES
             if self._touching.any():
-                within = None if pixels.rig.has_proximity else rest.grid.around(self._touching)
+                rows, columns = rest.grid.part(self._touching)[0].pixels
+                within = None if pixels.rig.has_proximity else (columns.start, rows.start, columns.stop, rows.stop)
                 self._seen = pixels.candidates(frame, _BOTH_SHARE, within)
             places = pixels.tactile_pixels(self._seen.pixels, frame)
             inside = self._in_contact(self._inside, self._farthest, frame)[places]
@@ -144,9 +147,12 @@ class PressureTest(ContactTest):
     def _in_contact(self, cells: Float64Array, farthest: Float32Array, frame: SensorFrame) -> BoolArray:
         """Return at which tactile pixels, flat, a level of the cells is above 0 and the depth is not beyond another."""
         assert self._rest is not None
-        grid, counts = self._rest.grid, frame.tactile_depth
+        counts = frame.tactile_depth
         inside = np.zeros(counts.shape, np.bool_)
-        inside[grid.pixels] = (grid.on_pixels(cells) > 0) & (counts[grid.pixels] < grid.on_pixels(farthest))
+        if (cells > 0).any():
+            part, own = self._rest.grid.part(cells > 0)
+            near = counts[part.pixels] < part.on_pixels(farthest[own])
+            inside[part.pixels] = near & (part.on_pixels(cells[own]) > 0)
         return inside.reshape(-1)
 
     def _facts_of(
@@ -362,7 +368,7 @@ class _Now:
             if not pressed.any():
                 return np.full(pressed.shape, -1.0)
             self.flatness = self._flatness()
-            level = self.flatness - section.share
+            level = self.flatness - self._flatness_at_edges(pressed, section.share)
             flat = _parts_with((level > 0) & (self._moved_m > 0), pressed, _SMALL_CELLS)
             # noise makes holes: what is pressed between flat cells, and not bulged, belongs to them
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -422,6 +428,22 @@ class _Now:
         bent = _NOISE_BENDS * rest.sigma_per_m * (rest.window / _FINE_WINDOW) ** 3 / (self.grown * rest.curvature_per_m)
         flat = max(median(self.flatness.reshape(-1)[cells]), bent)
         return float(rest.cell_m * max(self._least_error, _PER_BEND * _EDGE * bent / flat))
+
+    def _flatness_at_edges(self, pressed: BoolArray, most: float) -> Float64Array:
+        """Return the flatness at which contact ends near each cell: the flatter it is inside, the less, up to ``most``.
+
+        Averaging blurs the step from the flatness inside to that of the membrane, which bends away.
+        """
+        import cv2
+
+        labels = np.asarray(cv2.connectedComponents((self.flatness > most).view(np.uint8), connectivity=8)[1])
+        edges = np.full(int(labels.max()) + 1, most)
+        for number in np.unique(labels[pressed & (labels > 0)]):
+            inside = np.sort(self.flatness[labels == number])
+            if len(inside) >= _SMALL_CELLS:
+                step = inside[int(_PLATEAU * len(inside))] - _FLATNESS[0]
+                edges[number] = min(_FLATNESS[0] + _OF_STEP * step, most)
+        return np.asarray(cv2.erode(edges[labels], np.ones((5, 5), np.uint8)))
 
     def _flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""
