@@ -42,14 +42,6 @@ def test_hidden_parts_are_not_drawn(window, qtbot):
     assert window.set_up.noise.isVisible(), "a step of setting up is shown"
 
 
-def test_views_turn_together(window):
-    QTest.keyClick(window, Qt.Key.Key_T)
-    cameras = {view.camera() for view in window.views.views.values()}
-    assert len(cameras) == 1
-    QTest.keyClick(window, Qt.Key.Key_S)
-    assert window.views.views[CloudName.TACTILE].camera() not in cameras
-
-
 def test_theme_switches_and_is_remembered(window, qtbot):
     base = window.palette().base().color()
     [dark] = [entry for entry in window.menus.themes.actions() if entry.data() == "dark"]

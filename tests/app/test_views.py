@@ -68,6 +68,7 @@ def test_the_membrane_is_framed_not_the_wall_behind_and_frames_do_not_move_the_c
         left, top, right, bottom = extent(window, PROXIMITY, membrane(window))
         assert min(left, top) >= 0 and max(right, bottom) <= 1, key
         assert max(right - left, bottom - top) > 0.8, key
+        assert len({view.camera() for view in window.views.views.values()}) == 1, "they turn together"
     camera = window.views.views[PATCH].camera()
     window.worker.seek(7)
     qtbot.waitUntil(lambda: window.result.playback.index == 7)

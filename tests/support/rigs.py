@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from tactune.core.model.alignment import CalibrationRecord, ModelSummary
 from tactune.core.model.frames import DepthCamera, Rig
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.rig_file import json_text, rig_to_json
-from tactune.core.preset import CameraNoise, RigNoise, now
+from tactune.core.preset import CameraNoise, Preset, RigNoise, now
 
 
 def one_place_rig(
@@ -37,3 +38,10 @@ def save_rig(rig: Rig, path: Path) -> Path:
     """Write a rig file, and return its path."""
     path.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
     return path
+
+
+def calibrated(preset: Preset, supported_tolerance: float) -> Preset:
+    errors = dict.fromkeys(("alignment_px", "alignment_bound_95_px", "boundary_error_mm"), 1.0)
+    quality = ModelSummary(**errors, supported_tolerance=supported_tolerance)
+    record = CalibrationRecord(date=now(), model=preset.alignment.model, quality=quality)
+    return preset.model_copy(update={"alignment": preset.alignment.model_copy(update={"calibration": record})})

@@ -6,11 +6,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from rigs import rig_noise
+from rigs import calibrated, rig_noise
 from tactune.core.contact.masking import masked_share
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.alignment import CalibrationRecord, ModelSummary
-from tactune.core.preset import now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.findings import Examiner
@@ -38,12 +36,6 @@ def findings(preset, rig, frame, untouched=None):
     if untouched is None:
         found.pop("unknown_dent", None)
     return found
-
-
-def calibrated(preset, supported):
-    quality = ModelSummary(alignment_px=1, alignment_bound_95_px=1, boundary_error_mm=1, supported_tolerance=supported)
-    record = CalibrationRecord(date=now(), model=preset.alignment.model, quality=quality)
-    return preset.model_copy(update={"alignment": preset.alignment.model_copy(update={"calibration": record})})
 
 
 def mended(finding, preset, rig, frame, untouched=None):

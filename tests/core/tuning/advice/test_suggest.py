@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from rigs import rig_noise
+from rigs import calibrated, rig_noise
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError, FrameError
-from tactune.core.model.alignment import CalibrationRecord, ModelSummary
 from tactune.core.model.metrics import compare_with_truth
-from tactune.core.preset import Preset, now
+from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.proposal import Evidence
@@ -152,10 +151,7 @@ def test_the_membrane_test_needs_no_offset(evidence, suggest):
 
 
 def test_a_calibrated_offset_is_corrected_not_reset(evidence, suggest):
-    quality = ModelSummary(alignment_px=1, alignment_bound_95_px=1, boundary_error_mm=1, supported_tolerance=0.01)
-    record = CalibrationRecord(date=now(), model="rigid", quality=quality)
-    alignment = SHIPPED.alignment.model_copy(update={"depth_offset_m": 0.006, "calibration": record})
-    preset = SHIPPED.model_copy(update={"alignment": alignment})
+    preset = calibrated(SHIPPED.with_value("alignment.depth_offset_m", 0.006), 0.01)
     proposal = suggest("alignment", evidence(preset, "sim:cup?press=medium&sensor=far-offset"))
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.020, abs=0.003)
 
