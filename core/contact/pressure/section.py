@@ -27,8 +27,8 @@ class PressureSection(Section):
         float,
         described(
             "Edge flatness",
-            "Contact ends where the membrane is less flat than this share: 0 is as round as the free membrane, 1 is "
-            "flat. A larger value gives a smaller patch.",
+            "Contact ends where the membrane is less flat than about this share: 0 is as round as the free membrane, 1 "
+            "is flat. A larger value gives a smaller patch.",
             slider=(0.0, 0.95),
             step=0.01,
             limits=(0.0, 1.0),

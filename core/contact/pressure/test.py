@@ -50,8 +50,9 @@ _CUT_POWER: Final = 4
 #: edge of the object bends it far more than a face does.
 _FLATNESS, _EDGE_WINDOW = (-0.75, 1.8), 1.25
 _EDGE: Final = math.hypot(_FINE_WINDOW, _EDGE_WINDOW)
-#: At the edge of contact the flatness is this share of the step from the membrane's to that inside, this quantile.
-_OF_STEP, _PLATEAU = 0.6, 0.7
+#: A step of the flatness, from the membrane to this quantile inside, that puts the edge of contact at the preset's
+#: flatness. A smaller step, as on a flat object, puts it in proportion.
+_STEP, _PLATEAU = 1.833, 0.7
 #: Error of the edge of contact, share of its window: at least, and for each share of the flatness by which noise bends
 #: the membrane; noise bends by this share of the deviation of twice the mean curvature, in units of the flatness. Of a
 #: contact too small to look flat, share of the window of the curvature.
@@ -430,7 +431,7 @@ class _Now:
         return float(rest.cell_m * max(self._least_error, _PER_BEND * _EDGE * bent / flat))
 
     def _flatness_at_edges(self, pressed: BoolArray, most: float) -> Float64Array:
-        """Return the flatness at which contact ends near each cell: the flatter it is inside, the less, up to ``most``.
+        """Return the flatness at which contact ends near each cell: the smaller its step, the less, up to ``most``.
 
         Averaging blurs the step from the flatness inside to that of the membrane, which bends away.
         """
@@ -442,7 +443,7 @@ class _Now:
             inside = np.sort(self.flatness[labels == number])
             if len(inside) >= _SMALL_CELLS:
                 step = inside[int(_PLATEAU * len(inside))] - _FLATNESS[0]
-                edges[number] = min(_FLATNESS[0] + _OF_STEP * step, most)
+                edges[number] = _FLATNESS[0] + (most - _FLATNESS[0]) * min(step / _STEP, 1.0)
         return np.asarray(cv2.erode(edges[labels], np.ones((5, 5), np.uint8)))
 
     def _flatness(self) -> Float64Array:
