@@ -347,13 +347,13 @@ def find_rig(name: str) -> Rig:
 
 
 def average_frames(source: FrameSource) -> Snapshot:
-    """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
+    """Average frames of the untouched membrane; the simulator removes its object, with a warning."""
     from ...core.rig.untouched import average_untouched, frames_to_average
     from ...core.sources.simulator.simulator_source import SimulatorSource
 
     if isinstance(source, SimulatorSource):
         warn(f"{source.name} is simulated: its object is removed for this, so nothing touches the membrane")
-    with frames_to_average(source, AVERAGED) as shown, CliProgress() as progress:
+    with CliProgress() as progress, frames_to_average(source, AVERAGED, progress.preparing) as shown:
         return average_untouched(counted_out(shown, AVERAGED, progress))
 
 

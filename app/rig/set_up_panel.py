@@ -245,7 +245,7 @@ class SetUpPanel(QWidget):
         if found:
             self._again.discard(row)
             row.skipped = False
-        else:
+        elif not row.skipped:
             self.press.clear()  # the next try looks at another one
         self.running = self.running and (found or row.skipped)
         if self.running:

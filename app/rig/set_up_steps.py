@@ -170,7 +170,7 @@ class PressStep(SetUpStep):
         if self._free_m is not None:
             nearer_m = self._free_m - tiles_m
             pressed, released = (bool(np.mean(sign * nearer_m > _DENT_M) > _DENTED) for sign in (1, -1))
-            deepest_m = float(np.nanpercentile(nearer_m, 99))
+            deepest_m = float(np.nanpercentile(nearer_m, 99)) if np.isfinite(nearer_m).any() else -np.inf
         if deepest_m >= self._deepest_m:
             self._firmest, self._deepest_m = frame, deepest_m
         if pressed:

@@ -51,7 +51,7 @@ class UntouchedStep(SetUpStep):
         return average
 
     def show_found(self, found: UntouchedRecord) -> None:
-        fewer = " because the source has no more" if found.frames < self.wanted else ""
+        fewer = ": the source has no more, or the membrane moved then" if found.frames < self.wanted else ""
         self.sentence.setText(
             f"Captured {counted(found.frames, 'frame')}{fewer}. "
             "Save the preset (Ctrl+S in the main window) to write the untouched frame beside it."

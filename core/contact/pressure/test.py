@@ -162,6 +162,7 @@ class PressureTest(ContactTest):
         """Return map and force, that of all contacts together, in the proximity depth frame."""
         assert self._rest is not None
         rig, rest, relative, sigmas = self.pixels.rig, self._rest, now.relative, now.sigmas.reshape(-1)
+        edges = now.least_error, now.flatness  # as they are now, for doubts that are asked for later
         force, sigma, at_rim, agrees = now.force(touching)
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
 
@@ -179,7 +180,7 @@ class PressureTest(ContactTest):
             return sigmas[rest.numbers[self.pixels.tactile_pixels(pixels, frame)]]
 
         def edge_error_m(pixels: IndexArray) -> float:
-            return now.edge_error_m(rest.numbers[self.pixels.tactile_pixels(pixels, frame)])
+            return now.edge_error_m(rest.numbers[self.pixels.tactile_pixels(pixels, frame)], *edges)
 
         def image() -> Float32Array:
             if not rig.has_proximity:
@@ -344,6 +345,7 @@ class _Now:
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
         self._scatter = max(scatter, 1.0)
         self.sigma = sigma * (self._scatter / self.grown if self.grown > 0 else math.nan)
+        self.least_error, self.flatness = np.zeros((2, *sigma.shape))
 
     def contact(self, section: PressureSection) -> Float64Array:
         """Return a level of the cells that is above 0 in contact, and falls through 0 at its edge.
@@ -377,14 +379,13 @@ class _Now:
             between &= pressed & (level > -section.share)
         flat |= between
         inside = np.where(flat, np.where(between, _INSIDE, level), np.fmin(level, _OUTSIDE))
-        self._least_error = _OF_EDGE * _EDGE
+        self.least_error = np.full(pressed.shape, _OF_EDGE * _EDGE)
         reach = 2 * math.ceil(self._rest.window) + 1
         small = pressed & (cv2.dilate(flat.view(np.uint8), np.ones((reach, reach), np.uint8)) == 0)
         peaks = np.where(pressed, self.relative, 0.0)
         small = _parts_with(small, small & (peaks >= cv2.dilate(peaks, np.ones((3, 3)))))
         count, labels = cv2.connectedComponents(small.view(np.uint8), connectivity=8)
         for number in range(1, count):
-            self._least_error = _OF_WINDOW * self._rest.window
             own = labels == number
             levels = np.append(np.sort(self.relative[own])[::-1], limit[own].min())
             # number of cells that the window alone raises above the limit where the whole force presses at one point
@@ -392,6 +393,7 @@ class _Now:
             cells = len(levels) - 1
             edge = levels[min(max(round(cells - blurred), _SMALL_CELLS), cells)]
             near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+            self.least_error[near] = _OF_WINDOW * self._rest.window
             inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
         return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
 
@@ -422,13 +424,13 @@ class _Now:
         height, width = self.relative.shape
         return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2), np.float64)[:height, :width]
 
-    def edge_error_m(self, cells: Int32Array) -> float:
-        """Return the error of the edge of a contact in these cells (flat numbers)."""
+    def edge_error_m(self, cells: Int32Array, least_error: Float64Array, flatness: Float64Array) -> float:
+        """Return the error of the edge of a contact in these cells (flat numbers); the least one is in cells."""
         rest = self._rest
         # noise bends what is flat in some direction, by the mean larger curvature that noise alone has
         bent = _NOISE_BENDS * rest.sigma_per_m * (rest.window / _FINE_WINDOW) ** 3 / (self.grown * rest.curvature_per_m)
-        flat = max(median(self.flatness.reshape(-1)[cells]), bent)
-        return float(rest.cell_m * max(self._least_error, _PER_BEND * _EDGE * bent / flat))
+        flat = max(median(flatness.reshape(-1)[cells]), bent)
+        return float(rest.cell_m * max(median(least_error.reshape(-1)[cells]), _PER_BEND * _EDGE * bent / flat))
 
     def _flatness_at_edges(self, pressed: BoolArray, most: float) -> Float64Array:
         """Return the flatness at which contact ends near each cell: the smaller its step, the less, up to ``most``.
@@ -443,7 +445,7 @@ class _Now:
             inside = np.sort(self.flatness[labels == number])
             if len(inside) >= _SMALL_CELLS:
                 step = inside[int(_PLATEAU * len(inside))] - _FLATNESS[0]
-                edges[number] = _FLATNESS[0] + (most - _FLATNESS[0]) * min(step / _STEP, 1.0)
+                edges[number] = max(_FLATNESS[0] + (most - _FLATNESS[0]) * min(step / _STEP, 1.0), 0.0)
         return np.asarray(cv2.erode(edges[labels], np.ones((5, 5), np.uint8)))
 
     def _flatness(self) -> Float64Array:
