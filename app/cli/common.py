@@ -353,7 +353,7 @@ def average_frames(source: FrameSource) -> Snapshot:
 
     if isinstance(source, SimulatorSource):
         warn(f"{source.name} is simulated: its object is removed for this, so nothing touches the membrane")
-    with CliProgress() as progress, frames_to_average(source, AVERAGED, progress.preparing) as shown:
+    with frames_to_average(source, AVERAGED) as shown, CliProgress() as progress:
         return average_untouched(counted_out(shown, AVERAGED, progress))
 
 
