@@ -80,7 +80,10 @@ def nanoseconds(time_s: float) -> int:
 
 
 class LogClock:
-    """Log times that follow the stamps and always increase, since players sort by them, also if a clock jumps back."""
+    """Log times that follow the stamps and always increase, since players sort by them, also if a clock jumps back.
+
+    They increase by a thousandth of the period or more: seconds since the first frame tell them apart after decades.
+    """
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = max(nanoseconds(period_s), 1)
@@ -88,7 +91,7 @@ class LogClock:
 
     def tick(self, stamp_ns: int) -> int:
         """Return the log time of a frame with this stamp, nanoseconds from 0."""
-        if stamp_ns + self._shift_ns <= max(self._last_ns, -1):
+        if stamp_ns + self._shift_ns <= max(self._last_ns + self._period_ns // 1000, -1):
             self._shift_ns = self._last_ns + self._period_ns - stamp_ns
         self._last_ns = stamp_ns + self._shift_ns
         return self._last_ns

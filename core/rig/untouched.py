@@ -202,7 +202,7 @@ def tile_medians(counts: Uint16Array) -> Float64Array:
     ordered = np.sort(np.where(valid, pixels, np.uint16(65535)), axis=1)
     known = valid.sum(axis=1)
     medians = ordered[np.arange(len(ordered)), np.maximum(known - 1, 0) // 2].astype(np.float64)
-    below, up_to = ((compare(ordered, medians[:, None])).sum(axis=1) for compare in (np.less, np.less_equal))
+    below, up_to = (compare(ordered, medians[:, None]).sum(axis=1) for compare in (np.less, np.less_equal))
     medians += (known / 2 - below) / (up_to - below) - 0.5
     return np.where(known >= TILE_PX**2 // 2, medians, np.nan)
 

@@ -41,7 +41,6 @@ def search(qtbot, tab, trials):
 
 
 def click_trial(qtbot, tab, number):
-    """Click the row of a trial."""
     table = tab.table
     row = [trial["number"] for trial in table.model().records].index(number)
     QTest.mouseClick(table.viewport(), LEFT, pos=table.visualRect(table.model().index(row, 0)).center())

@@ -35,7 +35,6 @@ def rig_noise(white_m: float = 0.0002, correlated_m: float = 0.0, distance_m: fl
 
 
 def save_rig(rig: Rig, path: Path) -> Path:
-    """Write a rig file, and return its path."""
     path.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
     return path
 

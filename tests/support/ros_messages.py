@@ -12,7 +12,6 @@ from tactune.core.output.messages import definition
 
 
 def decoded(kind: str, data: bytes) -> Any:
-    """Return a message of this type."""
     decode = DecoderFactory().decoder_for("cdr", Schema(1, definition(kind).encode(), "ros2msg", kind))
     assert decode is not None
     return decode(data)

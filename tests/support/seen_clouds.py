@@ -73,7 +73,6 @@ def red_wall() -> DepthCloud:
 
 
 def drag(view: CloudView, start: tuple[int, int], end: tuple[int, int], button: Qt.MouseButton, **keys: object) -> None:
-    """Press, move and release through the window system."""
     window = view.window()
     assert window is not None
     handle = window.windowHandle()

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Float64Array, Int32Array, Uint16Array
+from ...model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.intrinsics import Intrinsics
 from ..kernels.quadric import CELL_PX, POWERS, add_triangles, average_cells, bend_quadrics, fit_quadrics
@@ -53,7 +53,7 @@ class Grid(NamedTuple):
         rows, columns = (slice(CELL_PX * first, CELL_PX * end) for first, end in ranges)
         return cls(rays[..., 0], rays[..., 1], (CELL_PX / lens.fx, CELL_PX / lens.fy), (rows, columns))
 
-    def on_pixels(self, values: Float64Array | Float32Array) -> Float32Array:
+    def on_pixels(self, values: AnyArray) -> Float32Array:
         """Return values of the cells on the pixels that the cells cover, interpolated."""
         import cv2
 

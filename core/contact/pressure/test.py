@@ -59,8 +59,8 @@ _STEP, _PLATEAU = 1.833, 0.7
 _OF_EDGE, _PER_BEND, _NOISE_BENDS, _OF_WINDOW = 0.5, 1.0, 0.886, 0.75
 #: Of the depth noise: what a single frame tells of it where it was not measured.
 _GUESSED: Final = 2.0
-#: What lies this many cells behind contact, and more steeply than the second around it, is the membrane that the camera
-#: sees past a deep dent. It is looked for in steps of so many cells.
+#: Past a deep dent the camera sees the membrane behind it. Contact lies at most this many cells farther than contact in
+#: the same cell, plus this slope times the way from contact beside it, which is followed in steps of these cells.
 _BEHIND, _STEEP, _PAST = 2.0, 1.0, (1, 1, 2, 2, 2, 2, 2)
 _NOWHERE_M: Final = 1000.0  # Farther than any depth
 #: The balance is drawn this far around a contact, cells, over a ramp of this width; the free membrane up to this far
@@ -162,7 +162,7 @@ class PressureTest(ContactTest):
         """Return map and force, that of all contacts together, in the proximity depth frame."""
         assert self._rest is not None
         rig, rest, relative, sigmas = self.pixels.rig, self._rest, now.relative, now.sigmas.reshape(-1)
-        edges = now.least_error, now.flatness  # as they are now, for doubts that are asked for later
+        least_error = now.least_error  # of this preset, also if it is asked for when another is in use
         force, sigma, at_rim, agrees = now.force(touching)
         turned, spread = 1e6 * rest.turn @ force, 1e6 * np.sqrt(rest.turn**2 @ sigma**2)
 
@@ -180,7 +180,7 @@ class PressureTest(ContactTest):
             return sigmas[rest.numbers[self.pixels.tactile_pixels(pixels, frame)]]
 
         def edge_error_m(pixels: IndexArray) -> float:
-            return now.edge_error_m(rest.numbers[self.pixels.tactile_pixels(pixels, frame)], *edges)
+            return now.edge_error_m(rest.numbers[self.pixels.tactile_pixels(pixels, frame)], least_error)
 
         def image() -> Float32Array:
             if not rig.has_proximity:
@@ -227,12 +227,11 @@ class PressureTest(ContactTest):
         return image
 
 
-#: Twice the mean curvature of an inflated membrane, at least: the apex of one of 200 mm then stands out by 2.5 mm; and
-#: the share of what the camera sees that bulges so, at least.
-_MIN_CURVATURE_PER_M, _MIN_BULGING = 1.0, 0.1
-#: Less than this share of the usual curvature is hardly any, and no membrane where a part of what the camera sees, at
-#: least of the second share, has it in this window, cells.
-_HARDLY, _BESIDE_SHARE, _WIDE_WINDOW = 0.2, 0.01, 4.0
+#: Twice the mean curvature of an inflated membrane, at least: the apex of one of 200 mm then stands out by 2.5 mm. The
+#: window it is measured in, cells. The membrane is at least this share of what the camera sees, in one piece.
+_MIN_CURVATURE_PER_M, _WIDE_WINDOW, _MIN_MEMBRANE = 1.0, 4.0, 0.1
+#: A piece of at least the second share whose curvature is below the first share of the membrane's is a rim or a wall.
+_HARDLY, _BESIDE_SHARE = 0.2, 0.01
 
 
 class _Rest:
@@ -260,17 +259,17 @@ class _Rest:
                 "capture it again"
             )
         wide = surface.curvature(surface.fit(depth_m, share, _WIDE_WINDOW), self.grid)[0]
-        bulging = wide > _MIN_CURVATURE_PER_M
-        if not np.count_nonzero(bulging) > _MIN_BULGING * np.count_nonzero(share):
+        bulging, seen_cells = wide > _MIN_CURVATURE_PER_M, np.count_nonzero(share)
+        bulging = _parts_with(bulging, bulging, math.ceil(_MIN_MEMBRANE * seen_cells))  # noise bulges in small pieces
+        if not bulging.any():
             raise RigMismatchError(
                 "the membrane is flat in the untouched frame, so no pressure can be told from its curvature; inflate "
                 "it and capture the frame again"
             )
         self.curvature_per_m = float(np.median(wide[bulging]))
-        # a rim or a wall of the sensor that goes on from the membrane: large parts that do not bulge
-        flat, part = wide < _HARDLY * self.curvature_per_m, round(_BESIDE_SHARE * np.count_nonzero(share))
-        if (beside := _parts_with(flat, flat, part)).any():
-            self._beside = beside
+        flat = wide < _HARDLY * self.curvature_per_m
+        self._beside = _parts_with(flat, flat, round(_BESIDE_SHARE * seen_cells))
+        if self._beside.any():
             depth_m, share = self.cells(counts)
             wide = surface.curvature(surface.fit(depth_m, share, _WIDE_WINDOW), self.grid)[0]
         distance_m = float(np.median(depth_m[share > 0]))
@@ -345,7 +344,8 @@ class _Now:
         # what the measured noise does not explain, such as tension that differs with place, counts as noise
         self._scatter = max(scatter, 1.0)
         self.sigma = sigma * (self._scatter / self.grown if self.grown > 0 else math.nan)
-        self.least_error, self.flatness = np.zeros((2, *sigma.shape))
+        self._flatness: Lazy[Float64Array] = Lazy(self._measure_flatness)
+        self.least_error = np.zeros_like(sigma)
 
     def contact(self, section: PressureSection) -> Float64Array:
         """Return a level of the cells that is above 0 in contact, and falls through 0 at its edge.
@@ -370,8 +370,7 @@ class _Now:
                 self.sigmas = np.fmax(self.sigmas, in_wide)
             if not pressed.any():
                 return np.full(pressed.shape, -1.0)
-            self.flatness = self._flatness()
-            level = self.flatness - self._flatness_at_edges(pressed, section.share)
+            level = self._flatness.get() - self._flatness_at_edges(pressed, section.share)
             flat = _parts_with((level > 0) & (self._moved_m > 0), pressed, _SMALL_CELLS)
             # noise makes holes: what is pressed between flat cells, and not bulged, belongs to them
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -424,12 +423,12 @@ class _Now:
         height, width = self.relative.shape
         return np.asarray(cv2.resize(sigmas, None, fx=2, fy=2), np.float64)[:height, :width]
 
-    def edge_error_m(self, cells: Int32Array, least_error: Float64Array, flatness: Float64Array) -> float:
+    def edge_error_m(self, cells: Int32Array, least_error: Float64Array) -> float:
         """Return the error of the edge of a contact in these cells (flat numbers); the least one is in cells."""
         rest = self._rest
         # noise bends what is flat in some direction, by the mean larger curvature that noise alone has
         bent = _NOISE_BENDS * rest.sigma_per_m * (rest.window / _FINE_WINDOW) ** 3 / (self.grown * rest.curvature_per_m)
-        flat = max(median(flatness.reshape(-1)[cells]), bent)
+        flat = max(median(self._flatness.get().reshape(-1)[cells]), bent)
         return float(rest.cell_m * max(median(least_error.reshape(-1)[cells]), _PER_BEND * _EDGE * bent / flat))
 
     def _flatness_at_edges(self, pressed: BoolArray, most: float) -> Float64Array:
@@ -439,16 +438,17 @@ class _Now:
         """
         import cv2
 
-        labels = np.asarray(cv2.connectedComponents((self.flatness > most).view(np.uint8), connectivity=8)[1])
+        flatness = self._flatness.get()
+        labels = np.asarray(cv2.connectedComponents((flatness > most).view(np.uint8), connectivity=8)[1])
         edges = np.full(int(labels.max()) + 1, most)
         for number in np.unique(labels[pressed & (labels > 0)]):
-            inside = np.sort(self.flatness[labels == number])
+            inside = np.sort(flatness[labels == number])
             if len(inside) >= _SMALL_CELLS:
                 step = inside[int(_PLATEAU * len(inside))] - _FLATNESS[0]
                 edges[number] = max(_FLATNESS[0] + (most - _FLATNESS[0]) * min(step / _STEP, 1.0), 0.0)
         return np.asarray(cv2.erode(edges[labels], np.ones((5, 5), np.uint8)))
 
-    def _flatness(self) -> Float64Array:
+    def _measure_flatness(self) -> Float64Array:
         """Return 1 where the membrane is flat or dented, 0 where it bulges as the free one does; nan if unknown."""
         import cv2
 

@@ -196,13 +196,11 @@ class Hand:
         return image.screen_place(float(place[0]), float(place[1])).toPoint()
 
     def click(self, image, place, modifiers=NOBODY):
-        """Move there and click."""
         viewport, position = image.view.viewport(), self.at(image, place)
         QTest.mouseMove(viewport, position)
         QTest.mouseClick(viewport, Qt.MouseButton.LeftButton, modifiers, position)
 
     def drag(self, image, start, end):
-        """Press, move in steps, release."""
         viewport = image.view.viewport()
         first, last = self.at(image, start), self.at(image, end)
         QTest.mousePress(viewport, Qt.MouseButton.LeftButton, NOBODY, first)

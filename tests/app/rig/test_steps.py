@@ -31,7 +31,6 @@ def open_capture(qtbot, window):
 
 
 def capture(qtbot, window, frames=5):
-    """Click on Capture and wait."""
     opened = open_capture(qtbot, window)
     opened.wanted = frames
     QTest.mouseClick(opened.start, LEFT)

@@ -123,25 +123,22 @@ def test_what_the_camera_sees_beside_the_membrane_changes_nothing(radius_m):
 
 
 @pytest.mark.parametrize("contact_m", [0.025, 0.035])
-def test_a_flat_contact_is_as_wide_as_it_is_within_the_boundary_error_which_grows_with_noise(contact_m):
-    rig, stated_mm = Rig.of_one_camera(simulator_rig().tactile), []
+@pytest.mark.parametrize(("counts", "stated_mm"), [(1, 4.3), (4, 5.5)])  # standard deviation of the noise
+def test_a_flat_contact_is_as_wide_as_it_is_within_the_boundary_error_which_grows_with_noise(
+    contact_m, counts, stated_mm
+):
+    rig, off_mm, errors_mm = Rig.of_one_camera(simulator_rig().tactile), [], []
     rest, now = bubble(rig, 0.15), bubble(rig, 0.15, 0.3, 1e3, contact_m)
-    for counts in (1, 4):
-        known = rig_noise(correlated_m=1e-4 * counts, distance_m=np.median(rest.tactile_depth) * 1e-4)
-        pipeline, off_mm, errors_mm = (
-            ContactPipeline(PRESSURE.with_value("noise", known.model_dump()), rig, rest),
-            [],
-            [],
-        )
-        for seed in range(4):
-            noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=now.tactile_depth.shape), (0, 0), 4.0)
-            noisy = np.rint(now.tactile_depth + counts * noise / noise.std()).astype(np.uint16)
-            patch = pipeline.process(replace(now, tactile_depth=noisy))
-            off_mm.append(abs(np.sqrt(patch.area_mm2 / np.pi) - 1e3 * contact_m))
-            errors_mm.append(patch.doubt.boundary_error_mm)
-        stated_mm.append(np.mean(errors_mm))
-        assert np.mean(off_mm) < min(stated_mm[-1], 4)
-    assert stated_mm[1] > 1.2 * stated_mm[0]
+    known = rig_noise(correlated_m=1e-4 * counts, distance_m=np.median(rest.tactile_depth) * 1e-4)
+    pipeline = ContactPipeline(PRESSURE.with_value("noise", known.model_dump()), rig, rest)
+    for seed in range(4):
+        noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=now.tactile_depth.shape), (0, 0), 4.0)
+        noisy = np.rint(now.tactile_depth + counts * noise / noise.std()).astype(np.uint16)
+        patch = pipeline.process(replace(now, tactile_depth=noisy))
+        off_mm.append(abs(np.sqrt(patch.area_mm2 / np.pi) - 1e3 * contact_m))
+        errors_mm.append(patch.doubt.boundary_error_mm)
+    assert np.mean(off_mm) < min(np.mean(errors_mm), 4)
+    assert np.mean(errors_mm) >= stated_mm
 
 
 def test_force_and_contact_of_a_press_follow_the_solver(pressed):
@@ -316,7 +313,8 @@ def test_a_press_at_the_rim_is_doubted(pressed):
 def test_an_untouched_membrane_that_is_flat_or_smaller_than_a_cell_is_refused(side_px, found):
     lens = simulator_rig().tactile.intrinsics.model_copy(update={"width": side_px, "height": side_px})
     rig = Rig.of_one_camera(simulator_rig().tactile.model_copy(update={"intrinsics": lens}))
-    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.full(lens.shape, 3000, np.uint16), None, 0.0))
+    noise = cv2.GaussianBlur(np.random.default_rng(0).normal(size=lens.shape), (0, 0), 10.0)  # of 1 mm
+    flat = SensorFrame.of_shots(rig, 0, None, Shot(np.rint(3000 + 350 * noise).astype(np.uint16), None, 0.0))
     with pytest.raises(RigMismatchError, match=found):
         ContactPipeline(PRESSURE, rig, flat).process(flat)
 

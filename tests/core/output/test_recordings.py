@@ -17,6 +17,7 @@ from folder_scenes import RIG, make_frame, make_frames, make_rig, record
 from tactune.core import load_preset
 from tactune.core.errors import AdviceError, ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth
+from tactune.core.output.messages import LogClock
 from tactune.core.output.writer import BagWriter, SessionWriter
 from tactune.core.sources.tactune_files import McapSource
 
@@ -55,6 +56,12 @@ def test_every_bit_of_random_frames_comes_back(data, proximity, tactile, color):
             for index in reversed(range(len(frames))):
                 source.seek(index)
                 assert same_frame(source.next_frame(), frames[index])
+
+
+def test_frames_of_nearly_one_moment_stay_apart_in_seconds_after_a_clock_jumped_by_years():
+    clock = LogClock(1 / 30)
+    log_s = 1e-9 * np.array([clock.tick(stamp_ns) for stamp_ns in (0, 2**29 * 10**9, -20, -10, 0)])
+    assert (np.diff(log_s) > 0).all()
 
 
 def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(tmp_path):

@@ -22,8 +22,6 @@ def _threads():
 
 @pytest.fixture
 def make_recording(tmp_path):
-    """Write a recording and return its source's name."""
-
     def make(name="rec", *, seed=0, frames=3, width=64, with_truth=True):
         export_folder(noisy_press(seed, small_rig(width), frames, with_truth), tmp_path / name)
         return f"folder:{tmp_path / name}"
