@@ -51,36 +51,34 @@ def fit_quadrics(
 ) -> None:
     """Fit a quadratic about each cell in a window; write coefficients and the growth of the curvature's variance.
 
-    ``images`` (2, H, W) are the weight of each cell, and its depth times that; ``window`` (5, N) is the window of one
-    direction times powers of the way from its centre. ``out`` (6, H W) and ``growth`` (H W), the sum of the last
-    diagonal elements of the inverse that belong to xx and yy, receive nan where the weight in the window is not above
-    ``least``. ``across`` (8, H, W), ``moments`` (8, 5, R W) and ``work`` (7, 6, R W) are buffers: the cells of R rows
-    are computed side by side. All but the results are float32. The normal equations are solved by Cholesky's method,
-    with reciprocals on the diagonal.
+    ``images`` (2, (H + 2 R) W) are the weight of each cell, and its depth times that, with a margin of R cells of no
+    weight on all sides; ``window`` (5, 2 R + 1) is the window of one direction times powers of the way from its centre.
+    ``out`` (6, H W) and ``growth`` (H W), the sum of the diagonal elements of the inverse that belong to xx and yy,
+    receive nan where the weight in the window is not above ``least``; what they receive in the margin of the columns
+    means nothing. ``across`` (8, (H + 2 R) W), ``moments`` (8, 5, N) and ``work`` (7, 6, N) are buffers: N cells are
+    computed side by side. All but the results are float32. The normal equations are solved by Cholesky's method, with
+    reciprocals on the diagonal.
     """
-    height, width = across.shape[1:]
-    reach = window.shape[1] // 2
+    reach, size, block = window.shape[1] // 2, images.shape[1], moments.shape[2]
+    count = growth.shape[0]
+    width = (size - count) // (2 * reach)
     for part in range(8):  # five powers of x for the weight, three for the depth
         power, image = (part, 0) if part < 5 else (part - 5, 1)
-        for v in range(height):
-            across[part, v] = _ZERO
-            for t in range(-reach, reach + 1):
-                source, target = images[image, v, max(t, 0) :], across[part, v, max(-t, 0) :]
-                for u in range(width - abs(t)):
-                    target[u] += window[power, reach + t] * source[u]
-    rows = moments.shape[2] // width
-    for top in range(0, height, rows):
-        bottom = min(top + rows, height)
-        first, cells = top * width, range((bottom - top) * width)
+        across[part] = _ZERO
+        for t in range(2 * reach + 1):
+            source, target, weight = images[image, t:], across[part, reach:], window[power, t]
+            for n in range(size - 2 * reach):
+                target[n] += weight * source[n]
+    for first in range(0, count, block):
+        cells = range(min(block, count - first))
         for part in range(8):
             for power in range(5 - part if part < 5 else 8 - part):
-                for v in range(top, bottom):
-                    target = moments[part, power, v * width - first :]
-                    target[:width] = _ZERO
-                    for t in range(max(-reach, -v), min(reach + 1, height - v)):
-                        source = across[part, v + t]
-                        for u in range(width):
-                            target[u] += window[power, reach + t] * source[u]
+                target = moments[part, power]
+                target[:] = _ZERO
+                for t in range(2 * reach + 1):
+                    source, weight = across[part, first + t * width :], window[power, t]
+                    for n in cells:
+                        target[n] += weight * source[n]
         for n in cells:
             growth[first + n] = 0.0 if moments[0, 0, n] > least else np.nan
         for i in range(6):
@@ -99,29 +97,27 @@ def fit_quadrics(
                 else:
                     for n in cells:
                         work[i, j, n] *= work[j, j, n]
-        for column in range(3):  # the depth, and the unit vectors of xx and yy
-            for i in range(6):
+        for n in cells:  # the columns of xx and yy of the inverse of the Cholesky factor
+            xx, yy = work[3, 3, n], work[5, 5, n]
+            xy = -work[4, 3, n] * xx * work[4, 4, n]
+            low = -(work[5, 3, n] * xx + work[5, 4, n] * xy) * yy
+            growth[first + n] += xx * xx + xy * xy + low * low + yy * yy
+        for i in range(6):
+            for n in cells:
+                work[6, i, n] = moments[5 + POWERS[i, 0], POWERS[i, 1], n]
+            for k in range(i):
                 for n in cells:
-                    depth = moments[5 + POWERS[i, 0], POWERS[i, 1], n]
-                    work[6, i, n] = depth if column == 0 else _ONE if i == 1 + 2 * column else _ZERO
-                for k in range(i):
-                    for n in cells:
-                        work[6, i, n] -= work[i, k, n] * work[6, k, n]
+                    work[6, i, n] -= work[i, k, n] * work[6, k, n]
+            for n in cells:
+                work[6, i, n] *= work[i, i, n]
+        for i in range(5, -1, -1):
+            for k in range(i + 1, 6):
                 for n in cells:
-                    work[6, i, n] *= work[i, i, n]
-            for i in range(5, -1, -1):
-                for k in range(i + 1, 6):
-                    for n in cells:
-                        work[6, i, n] -= work[k, i, n] * work[6, k, n]
-                for n in cells:
-                    work[6, i, n] *= work[i, i, n]
-            if column == 0:
-                for i in range(6):
-                    for n in cells:
-                        out[i, first + n] = work[6, i, n] if growth[first + n] == 0.0 else np.nan
-            else:
-                for n in cells:
-                    growth[first + n] += work[6, 1 + 2 * column, n]
+                    work[6, i, n] -= work[k, i, n] * work[6, k, n]
+            for n in cells:
+                work[6, i, n] *= work[i, i, n]
+            for n in cells:
+                out[i, first + n] = np.nan if np.isnan(growth[first + n]) else work[6, i, n]
 
 
 @_fast_kernel

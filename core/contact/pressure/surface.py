@@ -137,19 +137,23 @@ def cells(counts: Uint16Array, unit_m: float, offset_m: float, grid: Grid) -> Ce
 def fit(depth_m: Float64Array, share: Float64Array, sigma: float, curved: bool = True) -> Shape:
     """Fit a quadratic to the depth about each cell, in a Gaussian window of ``sigma`` cells."""
     powers, variance = _window(sigma)
-    height, width = share.shape
-    block = max(_BLOCK // width, 1) * width
-    found, growth = np.empty((6, height, width)), np.empty_like(share)
-    buffers = (np.empty(shape, np.float32) for shape in ((8, height, width), (8, 5, block), (7, 6, block)))
-    least = _WINDOW_SHARE if curved else _DEPTH_SHARE
+    (height, width), reach = share.shape, powers.shape[1] // 2
+    images = np.zeros((2, height + 2 * reach, width + 2 * reach), np.float32)
+    inner = np.s_[:, reach : reach + width]
     middle_m = float(depth_m.sum() / max(np.count_nonzero(depth_m), 1))
-    images = np.stack([share, share * (depth_m - middle_m)]).astype(np.float32)
-    fit_quadrics(
-        images, powers.astype(np.float32), np.float32(least), *buffers, found.reshape(6, -1), growth.reshape(-1)
+    images[0, reach:-reach][inner], images[1, reach:-reach][inner] = share, share * (depth_m - middle_m)
+    found, growth = np.empty((6, height, width + 2 * reach)), np.empty((height, width + 2 * reach))
+    across, moments, work = (
+        np.empty(shape, np.float32) for shape in ((8, images[0].size), (8, 5, _BLOCK), (7, 6, _BLOCK))
     )
-    found[0] += middle_m
-    found /= (sigma ** POWERS.sum(axis=1))[:, None, None]
-    return Shape(found, np.sqrt(np.maximum(growth / variance, 1.0)))
+    least = np.float32(_WINDOW_SHARE if curved else _DEPTH_SHARE)
+    fit_quadrics(
+        images.reshape(2, -1), powers.astype(np.float32), least, across, moments, work, found.reshape(6, -1),
+        growth.reshape(-1),
+    )  # fmt: skip
+    fit = found[:, *inner] / (sigma ** POWERS.sum(axis=1))[:, None, None]
+    fit[0] += middle_m
+    return Shape(fit, np.sqrt(np.maximum(growth[inner] / variance, 1.0)))
 
 
 @lru_cache(maxsize=8)

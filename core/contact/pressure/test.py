@@ -394,7 +394,7 @@ class _Now:
             near = cv2.dilate(own.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
             self.least_error[near] = _OF_WINDOW * self._rest.window
             inside = np.where(near, np.fmax(inside, self.relative / edge - 1), inside)
-        return np.asarray(np.clip(np.nan_to_num(inside, nan=-1.0), -1.0, 1.0))
+        return np.asarray(np.minimum(np.fmax(inside, -1.0), 1.0))
 
     def farthest(self, touching: BoolArray) -> Float32Array:
         """Return for each cell the raw depth beyond which nothing is contact, but membrane that is seen past a dent."""
@@ -485,7 +485,8 @@ class _Now:
             free = (away > _MARGIN + rest.window) & (away < _MARGIN + _REACH) & np.isfinite(self.bulge_per_m)
             bulge = median(self.bulge_per_m[free])
             bulge = bulge if bulge > 0 else math.nan  # where it is flat, nothing tells its tension
-            air, pull, pressed = surface.balance(rest.grid.points(depth_m), weight, np.nan_to_num(self.relative))
+            loaded = np.where(np.isfinite(self.relative), self.relative, 0.0)
+            air, pull, pressed = surface.balance(rest.grid.points(depth_m), weight, loaded)
             force, by_area = pull / bulge - air, -pressed
             # tension from a few independent windows, slopes along the loop, and the model
             windows = max(np.count_nonzero(free) / (4 * math.pi * rest.window**2), 1.0)
@@ -521,7 +522,7 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
             pressed = known & (away < -_CUT * scatter)
             left = known & (np.abs(away) <= _CUT * scatter)
         left &= cv2.dilate(pressed.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
-        if np.count_nonzero(left) < 0.1 * np.count_nonzero(known):
+        if np.count_nonzero(left) < 0.1 * np.count_nonzero(known) or np.array_equal(left, free):
             break
         free = left
     # without inflation nothing tells a contact pressure
@@ -535,4 +536,6 @@ def _parts_with(cells: BoolArray, seeds: BoolArray, smallest: int = 1) -> BoolAr
     labels = np.asarray(cv2.connectedComponents(cells.view(np.uint8), connectivity=8)[1])
     chosen = np.zeros(int(labels.max()) + 1, np.bool_)
     chosen[labels[seeds & cells]] = True
-    return np.asarray((chosen & (np.bincount(labels.ravel()) >= smallest))[labels])
+    if smallest > 1:
+        chosen &= np.bincount(labels.ravel()) >= smallest
+    return chosen[labels]
