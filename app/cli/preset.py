@@ -129,12 +129,16 @@ def capture_untouched(
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import save_untouched
     from ...core.sources.presets import load_preset
+    from ...core.sources.simulator.simulator_source import SimulatorSource
     from ...core.warmup import warm_up_if_needed
 
     check_target(preset, str(preset))
     chosen = load_preset(preset)
     with open_with_progress(source, chosen) as opened:
-        captured = average_frames(opened)
+        captured, recorded = (
+            average_frames(opened),
+            opened.length is not None and not isinstance(opened, SimulatorSource),
+        )
         # Without a mask prints would count as contact, and some tests find it by this very frame: nothing is known.
         if not force and chosen.mask.enabled and not chosen.test.needs_untouched and opened.rig.has_proximity:
             with CliProgress() as progress:
@@ -147,7 +151,8 @@ def capture_untouched(
                 )
     record = save_untouched(captured.frame, captured.frames, preset)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
-    say(f"averaged {counted(captured.frames, 'frame')} of {opened.name}")
+    where = f", from frame {captured.frame.sequence} on: make sure that nothing touches the membrane there"
+    say(f"averaged {counted(captured.frames, 'frame')} of {opened.name}{where if recorded else ''}")
     say(f"wrote {preset.parent / record.file}, named in {preset}")
 
 

@@ -146,6 +146,7 @@ class FramePresenter(QObject):
         readings = patch_readings(result, shown_fps) if compared is None else ()  # they belong to the picture
         self._views.views[CloudName.PATCH].set_readings(readings)
         if self._pace.due(result):
+            self._strip.set_color(bool(result.frame.proximity_color.any()))
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
             if strip is not None:  # else it is drawn with a later frame
                 self._panel.show_masked_share(strip.masked_share)

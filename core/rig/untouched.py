@@ -184,7 +184,8 @@ def place_at_rest(source: FrameSource, progress: Progress) -> int:
         start, count = runs[-1]
         moved = np.abs(tiles[number] - tiles[start]) > _MOVED_SHARE * np.maximum(tiles[start], 1.0)
         runs = [*runs, (number, 0)] if moved.mean() > _MOVING_TILES else [*runs[:-1], (start, count + 1)]
-    still = [run for run in runs if run[1] >= _STILL_PLACES] or [(int(np.argmax(mean)), 0)]
+    early = mean[places <= max(length - UNTOUCHED_FRAMES, length // 2)]  # enough frames follow
+    still = [run for run in runs if run[1] >= _STILL_PLACES] or [(int(np.argmax(early)), 0)]
     farthest = max(mean[start] for start, _ in still)
     start, count = max((run for run in still if mean[run[0]] >= _AS_FAR * farthest), key=lambda run: run[1])
     return int(places[start + min(1, count, start)])  # the first may still move, unless the recording begins with it

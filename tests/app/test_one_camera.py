@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
@@ -60,11 +61,19 @@ def test_the_button_in_the_empty_view_chooses_pressure_and_one_undo_takes_it_bac
     qtbot.waitUntil(lambda: "No contact yet" in patch_view(window).notice.text())
 
 
-def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouched_source):
+def test_what_a_source_does_not_have_goes_and_comes_back(window, qtbot, untouched_source, bubble):
     actions, strip = window.actions_, window.strip
+
+    def tabs():
+        return [strip.tabs.tabText(tab) for tab in range(4) if strip.tabs.isTabVisible(tab)]
+
+    rig, _, frame = bubble
+    gray = [replace(frame, sequence=n, proximity_color=np.zeros_like(frame.proximity_color)) for n in range(4)]
+    show_source(qtbot, window, FakeSource(rig=rig, frames=gray), 3)
+    qtbot.waitUntil(lambda: tabs() == ["Tactile"] and strip.panes["tactile"].isVisible())
     show_source(qtbot, window, untouched_source, 3)
     assert not window.views.views[CloudName.PROXIMITY].isVisible()
-    assert [strip.tabs.tabText(tab) for tab in range(4) if strip.tabs.isTabVisible(tab)] == ["Colour", "Tactile"]
+    qtbot.waitUntil(lambda: tabs() == ["Colour", "Tactile"])
     assert not window.panel.sections["alignment"].isVisible() and window.panel.one_camera.isHidden()
     for action in (actions.calibrate, actions.show_proximity):
         assert not action.isEnabled()
@@ -77,7 +86,7 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
 
     show_source(qtbot, window, FakeSource(), 3)
     qtbot.waitUntil(window.views.views[CloudName.PROXIMITY].isVisible)  # a frame may come before the news of its source
-    assert all(strip.tabs.isTabVisible(tab) for tab in range(4))
+    assert len(tabs()) == 4
     assert window.panel.sections["alignment"].isVisible() and not window.panel.one_camera.isHidden()
     for action in (actions.calibrate, actions.show_proximity):
         assert action.isEnabled()

@@ -43,7 +43,6 @@ def go_to(qtbot, window, index):
 
 
 def mark(qtbot, window, first, last):
-    """Set the in and out marks with the keys."""
     for index, key in ((first, Qt.Key.Key_I), (last, Qt.Key.Key_O)):
         go_to(qtbot, window, index)
         QTest.keyClick(window, key)

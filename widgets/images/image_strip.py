@@ -23,8 +23,8 @@ PANES = {
 }
 #: Short titles, for the tabs.
 TABS = {"color": "Colour", "proximity": "Proximity", "tactile": "Tactile", "difference": "Difference"}
-#: The panes that a rig with a tactile camera only does not have.
-_OF_TWO_CAMERAS = ("proximity", "difference")
+#: The panes that a rig with a tactile camera only does not have, and that of a source without colour images.
+_OF_TWO_CAMERAS, _OF_COLOR = {"proximity", "difference"}, {"color"}
 #: From this size on, in pixels, all images are shown instead of one with tabs.
 _ROOM_FOR_ALL = QSize(640, 400)
 
@@ -75,7 +75,7 @@ class ImageStrip(QWidget):
         self._fitted = True
         self._linking = False
         self._hint: tuple[int, list[str]] = (0, [])
-        self._two_cameras = True
+        self._two_cameras = self._has_color = True
         self._wipe: Wipe | None = None
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Images of the current frame")
@@ -142,6 +142,11 @@ class ImageStrip(QWidget):
             self.panes["tactile"].header.set_title(PANES["tactile"] if two else "Tactile depth")
             self.show_panes()
 
+    def set_color(self, there: bool) -> None:
+        if there != self._has_color:
+            self._has_color = there
+            self.show_panes()
+
     def choose(self, name: str) -> None:
         """Turn to the image of a name."""
         self.tabs.setCurrentIndex(list(self.panes).index(name))
@@ -153,11 +158,13 @@ class ImageStrip(QWidget):
 
     def show_panes(self) -> None:
         room = self.size()
-        there = [name for name in self.panes if self._two_cameras or name not in _OF_TWO_CAMERAS]
+        absent = (set() if self._two_cameras else _OF_TWO_CAMERAS) | (set() if self._has_color else _OF_COLOR)
+        there = [name for name in self.panes if name not in absent]
         for index, name in enumerate(self.panes):
             self.tabs.setTabVisible(index, name in there)
         every = room.width() >= _ROOM_FOR_ALL.width() and room.height() >= _ROOM_FOR_ALL.height()
-        one = list(self.panes)[max(0, self.tabs.currentIndex())]
+        chosen = list(self.panes)[max(0, self.tabs.currentIndex())]
+        one = chosen if chosen in there else there[0]
         shown = [self._enlarged] if self._enlarged else there if every else [one]
         self.tabs.setVisible(not every and not self._enlarged)
         for name, pane in self.panes.items():

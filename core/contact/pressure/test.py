@@ -538,4 +538,4 @@ def _parts_with(cells: BoolArray, seeds: BoolArray, smallest: int = 1) -> BoolAr
     chosen[labels[seeds & cells]] = True
     if smallest > 1:
         chosen &= np.bincount(labels.ravel()) >= smallest
-    return chosen[labels]
+    return np.asarray(chosen[labels])

@@ -38,7 +38,6 @@ class PrintedSource(FakeSource):
 
 
 def ask(qtbot, main, section="mask"):
-    """Press a button Suggest and wait for the suggestions."""
     button = main.panel.suggests[section]
     main.panel.ensureWidgetVisible(button)
     QTest.mouseClick(button, LEFT)

@@ -151,7 +151,6 @@ def poses_are_published_also_behind_another_tab(qtbot, tab, source):
 
 
 def opened(qtbot, window, source=None, index=3):
-    """Show a frame in the tab, opened by its key."""
     show_source(qtbot, window, source or open_source("sim:cup?press=medium"), index)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)

@@ -57,12 +57,10 @@ class Scene:
         return np.column_stack([self.dots, self.height_m(self.dots, level)])
 
     def proximity_pixels(self, level):
-        """The dots in the proximity colour image."""
         T = np.asarray(self.rig.proximity_color.T_color_depth)
         return self.rig.proximity_color.intrinsics.project(self.points(level) @ T[:3, :3].T + T[:3, 3])
 
     def tactile_pixels(self, level):
-        """The dots in the tactile image."""
         T = np.linalg.inv(self.T_p_t)
         return self.rig.tactile.intrinsics.project(self.points(level) @ T[:3, :3].T + T[:3, 3])
 

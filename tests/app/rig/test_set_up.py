@@ -16,7 +16,6 @@ from tactune.core.preset import Preset
 
 @pytest.fixture
 def set_up(window):
-    """The panel of a window with an empty preset."""
     window.document.new(Preset())
     panel = window.set_up
     panel.window_ = window
@@ -122,7 +121,6 @@ def test_without_a_firm_press_the_deepest_dent_is_worked_on(set_up, qtbot):
 
 
 def failed(panel):
-    """The row at which the run has stopped."""
     [row] = [row for row in panel.rows if row.mark.text() == "!"]
     return row
 

@@ -116,7 +116,6 @@ def shallow(small_rig):
 
 @pytest.fixture(scope="session")
 def bulged(small_rig):
-    """An apex of 20 mm."""
     return CircularMembrane(small_rig, apex_m=0.020)
 
 
