@@ -70,6 +70,8 @@ class DoubtEstimator:
         whole = Lazy(lambda: self._whole_frame(frame, preset, facts, known))
         untouched = self._pixels.untouched
         dents = None if untouched is None else Dents(self._pixels, frame, untouched)
+        calibration = preset.alignment.calibration if self._pixels.rig.has_proximity else None
+        off_mm = 0.0 if calibration is None else calibration.quality.boundary_error_mm
 
         def doubt_of(contact: Candidates) -> Doubt:
             odds, reasons, boundary_mm = whole.get()
@@ -91,6 +93,7 @@ class DoubtEstimator:
                 evidence, doubts = _pressure_evidence(contact, pressure, evidence)
                 reasons = (*reasons, *doubts)
                 boundary_mm = 1e3 * pressure.edge_error_m(contact.pixels)
+            boundary_mm = math.hypot(boundary_mm, off_mm)
             radii = 1e-3 * boundary_mm / math.sqrt(area_m2 / math.pi)
             if radii > _ERROR_SHARE:
                 odds -= min(_PER_RADIUS * (radii - _ERROR_SHARE), MAX_EVIDENCE)

@@ -36,10 +36,12 @@ def judge_rig(preset: Preset, rig: Rig, pressed: SensorFrame, untouched: SensorF
     if not len(patch.points):
         raise CalibrationError("the preset finds no contact in the frame; press an object in and judge again")
     links: dict[Link, float] = {}
-    record = preset.alignment.calibration
-    if record is not None and rig.has_proximity:
+    record = preset.alignment.calibration if rig.has_proximity else None
+    if record is not None:  # judged apart from the rest
         links["alignment"] = record.quality.boundary_error_mm
-    doubt = patch.doubt
+        preset = preset.with_value("alignment.calibration", None)
+        pipeline.update(preset)
+    doubt = pipeline.process(pressed).doubt
     if math.isfinite(doubt.boundary_error_mm):
         rest_mm = doubt.boundary_error_mm
         if preset.noise is not None and patch.membrane is not None:
