@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Final
 
-from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence, QShowEvent
 from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import added_by_others
-from ...widgets.basics.controls import wrapped_label
+from ...widgets.basics.controls import free_space_bar, wrapped_label
 from ...widgets.basics.dialogs import bring_up, room_on
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Severity
@@ -163,6 +163,10 @@ class AnalysisWindow(QDialog):
     def showEvent(self, event: QShowEvent | None) -> None:
         super().showEvent(event)
         self._tab_changed()
+
+    def event(self, event: QEvent | None) -> bool:
+        free_space_bar(self, event)
+        return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Play or pause when nothing else takes the space bar, as in the main window."""

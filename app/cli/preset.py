@@ -122,12 +122,13 @@ def capture_untouched(
     """Average frames of the untouched membrane.
 
     The mean is stored with a preset, in a file beside it; some methods and ``tactune check`` compare with it. Frames in
-    which the preset finds contact are refused. The simulator removes its object for this.
+    which the preset finds contact are refused, which it can with a mask, or by the untouched frame that it had. The
+    simulator removes its object for this.
     """
     from ...core.contact.pipeline import ContactPipeline
     from ...core.preset import now
     from ...core.preset.file import save_preset
-    from ...core.rig.untouched import save_untouched
+    from ...core.rig.untouched import kept_untouched, save_untouched
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.simulator_source import SimulatorSource
     from ...core.warmup import warm_up_if_needed
@@ -139,11 +140,13 @@ def capture_untouched(
             average_frames(opened),
             opened.length is not None and not isinstance(opened, SimulatorSource),
         )
-        # Without a mask prints would count as contact, and some tests find it by this very frame: nothing is known.
-        if not force and chosen.mask.enabled and not chosen.test.needs_untouched and opened.rig.has_proximity:
+        # Without a mask prints would count as contact, and some tests compare with the frame before.
+        compares, before = chosen.test.needs_untouched, kept_untouched(chosen, preset, opened).frame
+        finds = before is not None if compares else chosen.mask.enabled and opened.rig.has_proximity
+        if not force and finds:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing)
-            patch = ContactPipeline(chosen, opened.rig).process(captured.frame)
+            patch = ContactPipeline(chosen, opened.rig, before if compares else None).process(captured.frame)
             if len(patch.points):
                 raise CalibrationError(
                     f"the preset finds contact of {patch.area_mm2:,.0f} mm2 on a membrane that should be untouched; "

@@ -10,7 +10,8 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QAction, QPalette
 from PyQt6.QtWidgets import QAbstractButton, QFrame, QScrollArea, QStackedLayout, QWidget
 
-from ...core.errors import counted
+from ...core.contact.checks import check_rig, check_test, homography_notes
+from ...core.errors import RigMismatchError, counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.rig.untouched import place_at_rest
@@ -312,10 +313,22 @@ class SetUpPanel(QWidget):
             if (style := self.save.style()) is not None:
                 style.polish(self.save)
 
+    def _of_another_rig(self) -> bool:
+        preset, info = self._context.document.preset, self._info
+        if info is None:
+            return False
+        try:
+            check_test(preset, info.rig)
+            return check_rig(preset, info.rig) != homography_notes(preset)
+        except RigMismatchError:
+            return True
+
     def _headline(self, following: StepRow | None) -> str:
         if self._waiting or self._search.busy:
             return "Looking for cameras." if self._info is None else "Looking for the untouched membrane."
         document = self._context.document
+        if following is None and self._of_another_rig():
+            return "This preset was made for another rig. Next: set up again, or open its preset (Ctrl+Shift+O)."
         if following is None:
             judged = "" if document.preset.verdict is None else document.preset.verdict.sentence
             save = "Save the preset; its untouched frame is a second file beside it."

@@ -114,6 +114,8 @@ class WatchControl(QObject):
                 messages.show_message(_KEY, Severity.INFO, first.sentence, subject=SOURCE)
             elif isinstance(first.alignment, Drift) and first.alignment.recalibrate:
                 self._warn(first.alignment.sentence, ("calibrate",))
+            elif first.state == "drifted" and report is None:
+                self._warn(first.sentence, ("capture",))
         if report is None:
             return
         self._context.worker.set_cameras_moved(report.verdict == "camera" and report.state == "told")
@@ -161,7 +163,8 @@ class DriftWindow(QDialog):
         self.again.clicked.connect(self.check)
         self.calibrate.clicked.connect(calibrate)
         self.capture.clicked.connect(capture)
-        leave.clicked.connect(self.close)
+        for asked in (leave.clicked, self.image.cancelRequested):
+            asked.connect(self.close)
 
     def check(self) -> None:
         """Check the newest frame, on another thread."""

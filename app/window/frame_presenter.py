@@ -64,6 +64,8 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
     if gap and verdict is Provenance.RIM:
         why, gap = f"{gap}: outside the edge of contact", ""
     pressure = patch.pressure
+    if pressure is not None and verdict is Provenance.OUTSIDE_TOLERANCE:
+        why = "Dropped: no contact pressure above the limit, or outside the edge of contact."
     q = math.nan if pressure is None else float(pressure.relative.get()[v, u])
     if pressure is not None and math.isfinite(q):
         known = pressure.inflation_pa > 0

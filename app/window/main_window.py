@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from PyQt6.QtCore import QSignalBlocker, QSize, Qt
+from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
@@ -14,7 +14,7 @@ from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
-from ...widgets.basics.controls import ProgressCard
+from ...widgets.basics.controls import ProgressCard, free_space_bar
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
 from ...widgets.basics.layouts import hbox, holding, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Offer, Severity
@@ -445,6 +445,10 @@ class MainWindow(QMainWindow):
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
         self.rail.show_low(self.height() < LOW_PX)
+
+    def event(self, event: QEvent | None) -> bool:
+        free_space_bar(self, event)
+        return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""

@@ -50,7 +50,7 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
     """Return how the rig differs from the preset's; `RigMismatchError` if sizes do, or the region is outside."""
     name, made_for, warnings = f"Preset {preset.name!r}", preset.rig, []
     if made_for is not None:
-        for role in ("proximity", "tactile") if rig.has_proximity else ("tactile",):
+        for role in ("proximity", "tactile") if rig.has_proximity and made_for.has_proximity else ("tactile",):
             before, now = getattr(made_for, role), getattr(rig, role)
             if before.intrinsics.shape != now.intrinsics.shape:
                 raise RigMismatchError(
@@ -66,7 +66,8 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
             )
             if any(differences):
                 words = "; ".join(filter(None, differences))
-                warnings.append(f"{name} was made for another {role} camera ({words}); check the alignment.")
+                check = "check the alignment" if rig.has_proximity else "set up this rig, or open its own preset"
+                warnings.append(f"{name} was made for another {role} camera ({words}); {check}.")
         color, color_now = made_for.proximity_color, rig.proximity_color  # they decide which colour a point gets
         same_color = color is color_now
         if color is not None and color_now is not None:

@@ -156,10 +156,10 @@ class ContactTest(ABC):
     def why_no_contact(cls, provenance: Uint8Array) -> tuple[str, str]:
         """Say which step dropped most of the points near the object and what to change; name the window's action."""
         dropped = {verdict: int(np.count_nonzero(provenance == verdict)) for verdict in cls.drop_reasons}
-        total = sum(dropped.values())
+        total, press = sum(dropped.values()), "No contact yet: press the object into the membrane"
         if total == 0:
-            return f"No contact yet: press the object into the membrane, or {cls.looser_words}", ""
+            return f"{press}, or {cls.looser_words}", ""
         by = max(dropped, key=lambda verdict: dropped[verdict])
         reason = cls.drop_reasons[by]
         left_out = f"{dropped[by]:,} of {counted(total, 'point')} that could touch"
-        return f"No contact. If something presses, {reason.remedy}: {reason.step} left out {left_out}", reason.action
+        return f"{press}. If something presses, {reason.remedy}: {reason.step} left out {left_out}", reason.action

@@ -14,9 +14,9 @@ from .sections import Section, stored
 BiasOrigin = Literal["prints", "contact", "unknown"]
 Link = Literal["alignment", "bias", "noise", "missing depth"]
 _ADVICE: Final[Mapping[Link, str]] = {
-    "alignment": "more points, at another inflation, improve it",
+    "alignment": "more points, at another inflation, improve it, or the rigid model in place of a homography",
     "bias": "a firm press of a larger object measures it better",
-    "noise": "a nearer camera reduces it; the membrane test's averaged frames do, too, where nothing moves",
+    "noise": "a nearer camera reduces it, and with the membrane test averaged frames, where nothing moves",
     "missing depth": "light the membrane evenly, and check that the tactile camera sees all of it",
 }
 

@@ -189,7 +189,7 @@ def pressed_bias(
 
 def describe_bias(bias: MeasuredBias) -> str:
     if bias.origin == "unknown":
-        return "The bias could not be told from a gap: press an object firmly (1,000 mm2 or more) and measure again."
+        return "The bias could not be told from a gap: press an object firmly (1,000 mm² or more) and measure again."
     slope = f", and {abs(bias.per_m) * 100:.1f} mm {'more' if bias.per_m > 0 else 'less'} per 100 mm of depth"
     return (
         f"Bias between the cameras: {minus(f'{1e3 * bias.bias_m:+z.1f}')} ± {1e3 * bias.sigma_m:.1f} mm, proximity "

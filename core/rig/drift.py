@@ -8,7 +8,7 @@ Lucas-Kanade.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -25,6 +25,7 @@ from ..errors import CalibrationError, TactuneError
 from ..model.arrays import Float64Array, Uint8Array, Uint16Array, spread
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..model.patch import SURE
 from ..preset import Preset
 from .untouched import load_untouched
 
@@ -367,6 +368,11 @@ def check_rig(
         try:
             untouched = untouched or load_untouched(preset.untouched, preset_path)
             membrane = compare_with_untouched(preset, rig, frame, untouched)
+            if membrane.verdict == "inflation" and preset.test.needs_untouched:  # which tells it from a press
+                patch = ContactPipeline(preset, rig, untouched).process(frame)
+                if patch.doubt.touch_probability > SURE:
+                    found = f"{patch.area_mm2:,.0f} mm² of contact; remove it and check again."
+                    membrane = replace(membrane, verdict="touched", sentence=f"Something touches the membrane: {found}")
         except TactuneError as error:
             membrane = str(error)
     return RigCheck(drift_or_reason(preset, rig, frame), membrane)

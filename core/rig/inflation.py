@@ -51,7 +51,7 @@ class Press(NamedTuple):
         area = float(np.linalg.norm(force))
         spread = float(np.linalg.norm(force * sigma)) / area if area > 0 else math.inf
         if not area > _SIGMAS * spread:
-            raise CalibrationError(f"no press stands out of the noise in frame {frame}; press firmly, over 1,000 mm2")
+            raise CalibrationError(f"no press stands out of the noise in frame {frame}; press more firmly")
         reasons = {"at the rim": facts.at_rim, "noise not measured": not facts.noise_known}
         return cls(frame, force_n, area, spread, tuple(reason for reason, so in reasons.items() if so))
 

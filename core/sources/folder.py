@@ -210,7 +210,7 @@ class FolderSource(SeekableSource):
         lacks = []
         if not self._shows_color:
             camera = "proximity " if self.rig.has_proximity else ""
-            lacks.append(f"this folder has no {camera}colour of the size that rig.json says: its image stays black")
+            lacks.append(f"this folder has no {camera}colour, or of another size than rig.json says: it is not shown")
         if self._layout.unmatched:
             lacks.append(f"{self._layout.unmatched} images without a partner from the other camera are left out")
         return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._layout.unmatched)

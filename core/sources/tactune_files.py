@@ -67,7 +67,7 @@ class McapSource(RecordedSource):
                 self._check_topic(Topic.PROXIMITY_DEPTH)
             super().__init__(name, self._cameras_of(rig), resources, rig=rig)
             if not self._bag.complete:
-                cut = f"this recording was cut off; it plays up to its last complete frame, number {self.length}"
+                cut = f"this recording was cut off; it plays up to its last complete frame, number {self.length - 1}"
                 self._lacks.insert(0, cut)
             self.read(0)
             self._resources = resources.pop_all()

@@ -128,6 +128,10 @@ def plain_value(preset: Preset, path: str) -> Any:
     return json.loads(json.dumps(value.model_dump(mode="json") if hasattr(value, "model_dump") else value))
 
 
+#: What is measured is not searched.
+_MEASURED: Final = ("pressure.gauge_pa", "pressure.gauge_sigma_pa")
+
+
 def default_axes(preset: Preset) -> tuple[Axis, ...]:
     """Return the numbers of the preset's contact test over their sliders, without averaging and what is off."""
     axes: list[Axis] = []
@@ -136,7 +140,7 @@ def default_axes(preset: Preset) -> tuple[Axis, ...]:
             continue
         for name, field in model.model_fields.items():
             path, extra = f"{section}.{name}", field.json_schema_extra
-            if isinstance(extra, dict) and "slider" in extra and path != preset.test.frames_field:
+            if isinstance(extra, dict) and "slider" in extra and path not in {preset.test.frames_field, *_MEASURED}:
                 slider: Any = extra["slider"]
                 low, high = min(slider[0], preset.value(path)), max(slider[1], preset.value(path))
                 axes.append(Axis(path, (), low, high, log=extra.get("scale") == "log" and low > 0))

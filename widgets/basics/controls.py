@@ -84,6 +84,15 @@ def tool_button(text: str, tip: str, name: str = "", *, icon_name: str = "", che
     return button
 
 
+def free_space_bar(window: QWidget, event: QEvent | None) -> None:
+    """Take the focus from a button that was clicked before the space bar reaches it; one reached by a key keeps it."""
+    if not isinstance(event, QKeyEvent) or event.key() != Qt.Key.Key_Space:
+        return
+    clicked = not window.testAttribute(Qt.WidgetAttribute.WA_KeyboardFocusChange)
+    if event.type() == QEvent.Type.ShortcutOverride and clicked and isinstance(window.focusWidget(), QAbstractButton):
+        window.setFocus()
+
+
 def keep_place(widget: QWidget, keep: bool = True) -> None:
     """Let a widget keep its place in its layout while it is hidden, so that nothing moves."""
     policy = widget.sizePolicy()

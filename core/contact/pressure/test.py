@@ -75,8 +75,8 @@ _APART_SIGMAS: Final = 2.5
 #: A contact with fewer flat cells is too small to look flat. Levels: the highest of what looks flat elsewhere; and that
 #: of what does not, between flat cells.
 _SMALL_CELLS, _OUTSIDE, _INSIDE = 4, -0.1, 0.1
-#: Beyond this many standard deviations a cell tells nothing of the free membrane.
-_CUT: Final = 2.5
+#: Beyond this many standard deviations a cell tells nothing of the free membrane, which has at least this quantile.
+_CUT, _FREE_QUANTILE = 2.5, 0.75
 
 
 class PressureTest(ContactTest):
@@ -199,7 +199,8 @@ class PressureTest(ContactTest):
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
             inflation_pa=section.gauge_pa,
-            inflation_sigma_pa=section.gauge_sigma_pa,
+            # where the curvature has changed, so has the inflation or the tension
+            inflation_sigma_pa=math.hypot(section.gauge_sigma_pa, (now.grown - 1) * section.gauge_pa),
             window_m=rest.window * rest.cell_m,
             edge_error_m=edge_error_m,
             curvature_growth=now.grown,
@@ -512,7 +513,9 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
     known, nothing = np.isfinite(some) & np.isfinite(some_sigma), np.full_like(ratio, np.nan)
     if not known.any():
         return 1.0, nothing, 1.0
-    free, grown, scatter = known, 1.0, 1.0
+    # contact may be larger than the free membrane, but only lowers the ratio: the highest ratios tell where to begin
+    grown, scatter = float(np.quantile(some[known], _FREE_QUANTILE)), 1.0
+    free = known & (np.abs(some - grown) <= _CUT * some_sigma)
     for _ in range(4):
         grown = median(some[free])
         with np.errstate(invalid="ignore", divide="ignore"):

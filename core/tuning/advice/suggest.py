@@ -176,7 +176,8 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
         of_noise = patch_effect([0.0], [0.0], [distance_m])[1]  # the part of it that stands for both cameras' noise
         of_alignment = math.sqrt(max(calibration.quality.supported_tolerance**2 - of_noise**2, 0.0))
         t = math.hypot(t, of_alignment)
-        why += f", and {100 * of_alignment:.2g} % of the distance that the calibrated alignment is off"
+        if of_alignment > 0:
+            why += f", and {100 * of_alignment:.2g} % of the distance that the calibrated alignment is off"
     expected = "Nearly all contact passes, and no larger gap than that requires."
     return _proposal(evidence, "tolerance.t", min(float(f"{t:.2g}"), 1.0), f"{why}.", expected)
 

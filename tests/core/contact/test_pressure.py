@@ -122,13 +122,13 @@ def test_what_the_camera_sees_beside_the_membrane_changes_nothing(radius_m):
     assert beside.area_mm2 == pytest.approx(alone.area_mm2, rel=0.02)
 
 
-@pytest.mark.parametrize("contact_m", [0.025, 0.035])
-@pytest.mark.parametrize(("counts", "stated_mm"), [(1, 4.3), (4, 5.5)])  # standard deviation of the noise
+@pytest.mark.parametrize(("radius_m", "contact_m"), [(0.15, 0.025), (0.15, 0.035), (0.1, 0.06)])  # half of it, too
+@pytest.mark.parametrize(("counts", "stated_mm"), [(1, 4.3), (4, 4.8)])  # standard deviation of the noise
 def test_a_flat_contact_is_as_wide_as_it_is_within_the_boundary_error_which_grows_with_noise(
-    contact_m, counts, stated_mm
+    radius_m, contact_m, counts, stated_mm
 ):
     rig, off_mm, errors_mm = Rig.of_one_camera(simulator_rig().tactile), [], []
-    rest, now = bubble(rig, 0.15), bubble(rig, 0.15, 0.3, 1e3, contact_m)
+    rest, now = bubble(rig, radius_m, rim=True), bubble(rig, radius_m, 0.3, 1e3, contact_m, rim=True)
     known = rig_noise(correlated_m=1e-4 * counts, distance_m=np.median(rest.tactile_depth) * 1e-4)
     pipeline = ContactPipeline(PRESSURE.with_value("noise", known.model_dump()), rig, rest)
     for seed in range(4):
