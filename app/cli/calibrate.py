@@ -18,6 +18,7 @@ from .common import (
     find_rig,
     open_with_progress,
     say,
+    tell_left_out,
     warn,
 )
 
@@ -58,7 +59,9 @@ def calibrate(
         base = Preset().with_value("name", out.stem) if new else load_preset(out)
     report = fit(pairs, cameras, model)
     if out is not None and base is not None:
-        save_preset(report.apply_to(base), out, exclusive=new)
+        preset = report.apply_to(base)
+        save_preset(preset, out, exclusive=new)
+        tell_left_out(base, preset)
     if as_json:
         typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
     else:

@@ -346,6 +346,12 @@ def find_rig(name: str) -> Rig:
         return source.rig
 
 
+def tell_left_out(before: Preset, after: Preset) -> None:
+    """Warn if a preset that came to another rig lost what was measured on the cameras of the former one."""
+    if (before.untouched, before.noise) != (after.untouched, after.noise):
+        warn("untouched frame, noise and inflation were measured on other cameras and are left out; measure them again")
+
+
 def average_frames(source: FrameSource) -> Snapshot:
     """Average frames of the untouched membrane; the simulator removes its object, with a warning."""
     from ...core.rig.untouched import average_untouched, frames_to_average

@@ -26,6 +26,7 @@ from .common import (
     refuse_existing,
     say,
     stop_on_signals,
+    tell_left_out,
     tell_notes,
     warn,
 )
@@ -62,6 +63,7 @@ def new(
     settings: SetOption = None,
 ) -> None:
     """Write a new preset. It has the paper's values or those of another preset, changed by --set."""
+    from ...core.contact.checks import for_rig
     from ...core.preset import Preset, now
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import copy_untouched
@@ -76,13 +78,14 @@ def new(
         raise PresetError(f"{origin} no rig; add --rig with a rig.json, another preset or a source of frames")
     if not made_for.has_proximity and base.test.needs_proximity:
         base = base.with_values({"contact_test": "pressure"})
-    preset = base.model_copy(update={"rig": made_for, "created": now(), "modified": now()}).with_values(values)
+    preset = for_rig(base, made_for).model_copy(update={"created": now(), "modified": now()}).with_values(values)
     if start is not None and preset.untouched is not None:
         copy_untouched(preset.untouched, Path(start), out)
     save_preset(preset, out, exclusive=True)
     say(f"wrote {out}")
     if base.rig is not None and base.rig != made_for and made_for.has_proximity:
         warn(f"cameras and alignment are those of {start}, made for another rig; calibrate again")
+    tell_left_out(base, preset)
     tell_notes(preset)
 
 

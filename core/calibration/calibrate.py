@@ -83,8 +83,11 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        The pairs do not determine the requested model (with ``"auto"``: no model), or contradict it.
+        The pairs do not determine the requested model (with ``"auto"``: no model), or contradict it; or the rig has one
+        camera.
     """
+    if not rig.has_proximity:
+        raise CalibrationError("this rig has a tactile camera only, so there is no alignment to calibrate")
     used = [pair for pair in pairs if pair.enabled and pair.complete]
     _refuse_repeated(used)
     points = PointArrays.of(used)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,28 +46,45 @@ def check_test(preset: Preset, rig: Rig) -> None:
         )
 
 
+def _other_cameras(made_for: Rig, rig: Rig) -> dict[str, str]:
+    """Return how the depth cameras that both rigs have differ, by role; none that are alike."""
+    found: dict[str, str] = {}
+    for role in ("proximity", "tactile") if rig.has_proximity and made_for.has_proximity else ("tactile",):
+        before, now = getattr(made_for, role), getattr(rig, role)
+        same_camera = before.serial == now.serial or not (before.serial and now.serial)
+        same_unit = before.depth_unit_m == now.depth_unit_m
+        differences = (
+            "" if same_camera else f"serial number {before.serial}, here {now.serial}",
+            _lens_difference(before.intrinsics, now.intrinsics),
+            "" if same_unit else f"depth unit {before.depth_unit_m:g} m, here {now.depth_unit_m:g} m",
+        )
+        if any(differences):
+            found[role] = "; ".join(filter(None, differences))
+    return found
+
+
+def for_rig(preset: Preset, rig: Rig) -> Preset:
+    """Return a preset for a rig, without what was measured on other cameras: untouched frame, noise, inflation."""
+    before, values = preset.rig, dict[str, Any](rig=rig)
+    if before is not None and (before.has_proximity != rig.has_proximity or _other_cameras(before, rig)):
+        unknown = preset.pressure.model_copy(update={"gauge_pa": 0.0, "gauge_sigma_pa": 0.0})
+        values |= {"untouched": None, "noise": None, "verdict": None, "pressure": unknown}
+    return preset.model_copy(update=values)
+
+
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
     """Return how the rig differs from the preset's; `RigMismatchError` if sizes do, or the region is outside."""
     name, made_for, warnings = f"Preset {preset.name!r}", preset.rig, []
     if made_for is not None:
-        for role in ("proximity", "tactile") if rig.has_proximity and made_for.has_proximity else ("tactile",):
-            before, now = getattr(made_for, role), getattr(rig, role)
-            if before.intrinsics.shape != now.intrinsics.shape:
+        for role, words in _other_cameras(made_for, rig).items():
+            sizes = [_size(getattr(each, role)) for each in (made_for, rig)]
+            if sizes[0] != sizes[1]:
                 raise RigMismatchError(
-                    f"preset {preset.name!r} was made for {role} images of {_size(before)} pixels, this {role} camera "
-                    f"gives {_size(now)}; choose a preset of this rig or calibrate a new one"
+                    f"preset {preset.name!r} was made for {role} images of {sizes[0]} pixels, this {role} camera "
+                    f"gives {sizes[1]}; choose a preset of this rig or calibrate a new one"
                 )
-            same_camera = before.serial == now.serial or not (before.serial and now.serial)
-            same_unit = before.depth_unit_m == now.depth_unit_m
-            differences = (
-                "" if same_camera else f"serial number {before.serial}, here {now.serial}",
-                _lens_difference(before.intrinsics, now.intrinsics),
-                "" if same_unit else f"depth unit {before.depth_unit_m:g} m, here {now.depth_unit_m:g} m",
-            )
-            if any(differences):
-                words = "; ".join(filter(None, differences))
-                check = "check the alignment" if rig.has_proximity else "set up this rig, or open its own preset"
-                warnings.append(f"{name} was made for another {role} camera ({words}); {check}.")
+            check = "check the alignment" if rig.has_proximity else "set up this rig, or open its own preset"
+            warnings.append(f"{name} was made for another {role} camera ({words}); {check}.")
         color, color_now = made_for.proximity_color, rig.proximity_color  # they decide which colour a point gets
         same_color = color is color_now
         if color is not None and color_now is not None:

@@ -60,7 +60,14 @@ def _play_as_live(name: str, progress: Progress) -> FrameSource:
 
 
 def _open_recording(scheme: str, rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    if split_topics(rest)[1] or _is_of_others(scheme, rest):
+    from .tactune_files import McapSource, is_ours
+
+    topics, paths = split_topics(rest)[1], rest.split(",")
+    if not topics and len(paths) > 1 and all(path.endswith(".mcap") and is_ours(path) for path in paths):
+        raise SourceError(f"{rest}: these are recordings of Tactune, which hold both cameras; open one at a time")
+    if scheme == "bag" and rest.endswith(".mcap"):
+        scheme = "mcap"
+    if topics or _is_of_others(scheme, rest):
         from .ros.recording import RosSource
 
         return RosSource(scheme, rest, progress)
@@ -68,8 +75,6 @@ def _open_recording(scheme: str, rest: str, progress: Progress | None, _: Camera
         from .realsense_files import BagSource
 
         return BagSource(rest, progress)
-    from .tactune_files import McapSource
-
     return McapSource(rest, progress)
 
 
