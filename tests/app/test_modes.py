@@ -106,6 +106,9 @@ def test_the_space_bar_plays_after_a_change_of_mode_by_keys(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_2, CONTROL)
     with qtbot.waitSignal(window.actions_.play.triggered):
         QTest.keyClick(QApplication.focusWidget() or window, Qt.Key.Key_Space)
+    window.panel.suggests["mask"].setFocus(Qt.FocusReason.MouseFocusReason)  # as by a click
+    with qtbot.waitSignal(window.actions_.play.triggered):
+        QTest.keyClick(window.windowHandle(), Qt.Key.Key_Space)
 
 
 def test_search_runs_an_action_and_shows_a_parameter(window, qtbot):

@@ -33,7 +33,6 @@ def preset():
 
 @pytest.fixture
 def shown(window, qtbot, pressed):
-    """The press in the window, with the default contact test."""
     rig, untouched, frame = pressed
     frames = [untouched, *(replace(frame, sequence=number) for number in (1, 2, 3))]
     show_source(qtbot, window, FakeSource(rig=rig, frames=frames, name="press", untouched=untouched), 3)

@@ -169,7 +169,6 @@ def on_canvas(window, name, place):
 
 
 def place_of(window, name, u, v):
-    """The point of a pixel in the cloud of a view."""
     cloud = window.views.views[name].cloud()
     return cloud.places(np.array([v * cloud.depth.shape[1] + u]))[0]
 

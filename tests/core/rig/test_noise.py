@@ -139,7 +139,7 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset, pr
     pressed_is(lambda frame: None)
     unknown = measure_noise(frames, rig, preset)
     assert (unknown.bias_from, unknown.bias_m, unknown.bias_sigma_m) == ("unknown", 0.0, 0.005)
-    assert "press an object firmly (1,000 mm2 or more)" in describe(unknown)[2]
+    assert "press an object firmly (1,000 mm² or more)" in describe(unknown)[2]
     pressed_is(lambda frame: (0.003 + 0.0001 * (frame.sequence % 3), 0.002))
     pressed = measure_noise(frames, rig, preset)
     assert pressed.bias_from == "contact"
