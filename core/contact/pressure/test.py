@@ -514,7 +514,8 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
     if not known.any():
         return 1.0, nothing, 1.0
     # contact may be larger than the free membrane, but only lowers the ratio: the highest ratios tell where to begin
-    grown, scatter = float(np.quantile(some[known], _FREE_QUANTILE)), 1.0
+    place = int(_FREE_QUANTILE * np.count_nonzero(known))
+    grown, scatter = float(np.partition(some[known], place)[place]), 1.0
     free = known & (np.abs(some - grown) <= _CUT * some_sigma)
     for _ in range(4):
         grown = median(some[free])
