@@ -16,9 +16,9 @@ from .common import (
     average_frames,
     chosen_preset,
     find_rig,
+    measured_elsewhere,
     open_with_progress,
     say,
-    tell_left_out,
     warn,
 )
 
@@ -59,9 +59,9 @@ def calibrate(
         base = Preset().with_value("name", out.stem) if new else load_preset(out)
     report = fit(pairs, cameras, model)
     if out is not None and base is not None:
-        preset = report.apply_to(base)
-        save_preset(preset, out, exclusive=new)
-        tell_left_out(base, preset)
+        save_preset(report.apply_to(base), out, exclusive=new)
+        if left := measured_elsewhere(base, cameras):
+            warn(f"{out} was made for other cameras; if its {left} were measured on them, measure them again")
     if as_json:
         typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
     else:

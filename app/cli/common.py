@@ -346,10 +346,17 @@ def find_rig(name: str) -> Rig:
         return source.rig
 
 
-def tell_left_out(before: Preset, after: Preset) -> None:
-    """Warn if a preset that came to another rig lost what was measured on the cameras of the former one."""
-    if (before.untouched, before.noise) != (after.untouched, after.noise):
-        warn("untouched frame, noise and inflation were measured on other cameras and are left out; measure them again")
+def measured_elsewhere(preset: Preset, rig: Rig) -> str:
+    """Return what a preset holds of measurements on its own rig, in words, if that has other cameras; else nothing."""
+    from ...core.contact.checks import for_rig
+
+    here = for_rig(preset, rig)
+    parts = {
+        "untouched frame": preset.untouched != here.untouched,
+        "noise": preset.noise != here.noise,
+        "inflation": preset.pressure != here.pressure,
+    }
+    return ", ".join(name for name, differs in parts.items() if differs)
 
 
 def average_frames(source: FrameSource) -> Snapshot:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import CalibrationError, PresetError, counted
+from ...core.errors import CalibrationError, PresetError, RigMismatchError, counted
 from .common import (
     CliProgress,
     PresetOption,
@@ -19,6 +20,7 @@ from .common import (
     counted_out,
     find_rig,
     live_frames,
+    measured_elsewhere,
     number_of_frames,
     open_pipeline,
     open_with_progress,
@@ -26,7 +28,6 @@ from .common import (
     refuse_existing,
     say,
     stop_on_signals,
-    tell_left_out,
     tell_notes,
     warn,
 )
@@ -85,7 +86,8 @@ def new(
     say(f"wrote {out}")
     if base.rig is not None and base.rig != made_for and made_for.has_proximity:
         warn(f"cameras and alignment are those of {start}, made for another rig; calibrate again")
-    tell_left_out(base, preset)
+    if left := measured_elsewhere(base, made_for):
+        warn(f"{left}: measured on other cameras and left out; measure again")
     tell_notes(preset)
 
 
@@ -128,6 +130,7 @@ def capture_untouched(
     which the preset finds contact are refused, which it can with a mask, or by the untouched frame that it had. The
     simulator removes its object for this.
     """
+    from ...core.contact.checks import for_rig
     from ...core.contact.pipeline import ContactPipeline
     from ...core.preset import now
     from ...core.preset.file import save_preset
@@ -149,13 +152,17 @@ def capture_untouched(
         if not force and finds:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing)
-            patch = ContactPipeline(chosen, opened.rig, before if compares else None).process(captured.frame)
-            if len(patch.points):
+            patch = None
+            with suppress(RigMismatchError):  # the frame before is of no use, perhaps flat
+                patch = ContactPipeline(chosen, opened.rig, before if compares else None).process(captured.frame)
+            if patch is not None and len(patch.points):
                 raise CalibrationError(
                     f"the preset finds contact of {patch.area_mm2:,.0f} mm2 on a membrane that should be untouched; "
                     "remove what touches the membrane or is close to it, and capture again, or keep it with --force"
                 )
     record = save_untouched(captured.frame, captured.frames, preset)
+    if not opened.rig.has_proximity:  # no alignment names the rig
+        chosen = for_rig(chosen, opened.rig)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
     where = f", from frame {captured.frame.sequence} on: make sure that nothing touches the membrane there"
     say(f"averaged {counted(captured.frames, 'frame')} of {opened.name}{where if recorded else ''}")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Any
 
 from PyQt6.QtCore import QObject
 
+from ...core.contact.checks import for_rig
 from ...core.errors import SourceError, counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
@@ -49,6 +51,15 @@ class UntouchedStep(SetUpStep):
             return store.keep(averaged.frame, averaged.frames)
 
         return average
+
+    def changes(self) -> dict[str, Any]:
+        """Without an alignment, which names its rig, the preset becomes that of the camera that saw this membrane."""
+        changes, info = super().changes(), self.info
+        if info is None or info.rig.has_proximity:
+            return changes
+        here = for_rig(self._document.preset, info.rig)
+        inflation = {f"pressure.{name}": getattr(here.pressure, name) for name in ("gauge_pa", "gauge_sigma_pa")}
+        return {"rig": info.rig.model_dump(), "noise": here.noise and here.noise.model_dump(), **inflation, **changes}
 
     def show_found(self, found: UntouchedRecord) -> None:
         fewer = ": the source has no more, or the membrane moved then" if found.frames < self.wanted else ""

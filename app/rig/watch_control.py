@@ -50,7 +50,7 @@ class WatchControl(QObject):
         self.first: RigCheck | None = None
         self._watch: Callable[[], Watch] | None = None
         self._key: object = None
-        self._looks, self._failed = 0, False
+        self._looks, self._failed, self._live = 0, False, False
         self.job = Job(self, done=self._tell, failed=self._fail)
         context.frameShown.connect(self._look)
         context.worker.opened.connect(self._forget)
@@ -86,7 +86,7 @@ class WatchControl(QObject):
         key = (untouched, preset.alignment, preset.contact_test, result.source)
         if key != self._key:
             self._forget()
-            self._key, self._looks, self._failed = key, 0, False
+            self._key, self._looks, self._failed, self._live = key, 0, False, live
             self._watch = cache(lambda: Watch(preset, rig, untouched))  # made on the thread of the job
         frame, watch, first = result.frame, self._watch, self.first is None
         time_s = frame.proximity_time_s
@@ -114,8 +114,9 @@ class WatchControl(QObject):
                 messages.show_message(_KEY, Severity.INFO, first.sentence, subject=SOURCE)
             elif isinstance(first.alignment, Drift) and first.alignment.recalibrate:
                 self._warn(first.alignment.sentence, ("calibrate",))
-            elif first.state == "drifted" and report is None:
-                self._warn(first.sentence, ("capture",))
+            elif first.state == "drifted" and not self._live:
+                two = self._context.document.preset.test.needs_proximity
+                self._warn(first.sentence, ("calibrate", "capture") if two else ("capture",))
         if report is None:
             return
         self._context.worker.set_cameras_moved(report.verdict == "camera" and report.state == "told")

@@ -108,11 +108,13 @@ class FramePresenter(QObject):
         self._pixel = (-1, -1)
         self._pace = Pace(INTERVAL_S)
         self._shown_problem = ""
+        self._has_color = False
         self._share = 0.5
         strip.hovered.connect(self._hovered)
 
     def forget(self) -> None:
         self._context.result = None
+        self._has_color = False
         self._shown_problem = ""
         self.show_state(SourceState())
 
@@ -148,7 +150,9 @@ class FramePresenter(QObject):
         readings = patch_readings(result, shown_fps) if compared is None else ()  # they belong to the picture
         self._views.views[CloudName.PATCH].set_readings(readings)
         if self._pace.due(result):
-            self._strip.set_color(bool(result.frame.proximity_color.any()))
+            live = result.source.length is None  # whose first images may be black
+            self._has_color = self._has_color or live or bool(result.frame.proximity_color.any())
+            self._strip.set_color(self._has_color)
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
             if strip is not None:  # else it is drawn with a later frame
                 self._panel.show_masked_share(strip.masked_share)

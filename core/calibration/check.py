@@ -89,7 +89,7 @@ class Comparison:
         words = {
             "better": "The new alignment is better",
             "worse": "The new alignment is worse than the present one",
-            "equal": "These pairs are too few to tell a difference",
+            "equal": "These pairs show no difference that matters",
         }
         return (
             f"{words[self.verdict]}: {self.new_px:.2f} px new, {self.present_px:.2f} px present at {self.pairs} pairs, "

@@ -11,7 +11,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ..contact.checks import for_rig
 from ..errors import minus
 from ..model.alignment import CalibrationRecord, ModelSummary, PointPair, SnapshotRecord
 from ..model.arrays import Float64Array
@@ -280,8 +279,7 @@ class CalibrationReport:
             values["rigid"] = RigidAlignment(T_proximity_tactile=pose)
             values |= {"depth_scale": 1.0, "depth_offset_m": self.rigid.alignment.offset_m}
         section = preset.alignment.model_copy(update=values)
-        values = {"alignment": section, "verdict": None, "modified": now()}
-        return for_rig(preset, self.rig).model_copy(update=values)
+        return preset.model_copy(update={"alignment": section, "rig": self.rig, "verdict": None, "modified": now()})
 
     def words(self) -> str:
         lines = [f"Model: {self.model}. {self.reason}"]

@@ -85,6 +85,8 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
                 )
             check = "check the alignment" if rig.has_proximity else "set up this rig, or open its own preset"
             warnings.append(f"{name} was made for another {role} camera ({words}); {check}.")
+        if rig.has_proximity and not made_for.has_proximity:
+            warnings.append(f"{name} was made for a rig of one camera; calibrate the alignment.")
         color, color_now = made_for.proximity_color, rig.proximity_color  # they decide which colour a point gets
         same_color = color is color_now
         if color is not None and color_now is not None:

@@ -47,9 +47,9 @@ _FEWER_PRINTS: Final = 0.5
 _ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
 #: There is too little depth beyond this share of the boundary, or of the tactile depth; more noise beyond this ratio.
 _MANY_UNSEEN, _MANY_LOST, _NOISIER = 0.06, 0.1, 1.35
-#: Of the inflation when it was untouched, the share below which the membrane counts as deflated, and the change that is
-#: said.
-_DEFLATED, _OTHER_INFLATION = 0.1, 0.2
+#: Of the inflation when it was untouched, the share below which the membrane counts as deflated, and that below which
+#: the change is said; a press makes the free membrane rounder only.
+_DEFLATED, _LESS_INFLATION = 0.1, 0.8
 #: Contact pressure from this many standard deviations on adds no doubt; below the second it is said.
 _SURE_SIGMAS, _WEAK_SIGMAS = 8.0, 7.0
 
@@ -76,7 +76,7 @@ class DoubtEstimator:
 
         def doubt_of(contact: Candidates) -> Doubt:
             odds, reasons, boundary_mm = whole.get()
-            if pressure is not None and not abs(pressure.curvature_growth - 1) < _OTHER_INFLATION:
+            if pressure is not None and pressure.curvature_growth < _LESS_INFLATION:
                 deflated = pressure.curvature_growth < _DEFLATED
                 reasons = (*reasons, "membrane deflated" if deflated else "inflation changed")
             if not len(contact):

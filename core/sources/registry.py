@@ -64,7 +64,7 @@ def _open_recording(scheme: str, rest: str, progress: Progress | None, _: Camera
 
     topics, paths = split_topics(rest)[1], rest.split(",")
     if not topics and len(paths) > 1 and all(path.endswith(".mcap") and is_ours(path) for path in paths):
-        raise SourceError(f"{rest}: these are recordings of Tactune, which hold both cameras; open one at a time")
+        raise SourceError(f"{rest}: these are recordings of Tactune; open one at a time")
     if scheme == "bag" and rest.endswith(".mcap"):
         scheme = "mcap"
     if topics or _is_of_others(scheme, rest):

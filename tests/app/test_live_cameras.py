@@ -37,7 +37,6 @@ def window(qtbot, shared, preset, tmp_path, monkeypatch):
 
 
 def chooser(window, qtbot):
-    """The dialog on its page of cameras, after the search."""
     QTest.keyClick(window, Qt.Key.Key_F3)
     qtbot.waitUntil(lambda: window.sources.dialog is not None)
     dialog = window.sources.dialog

@@ -48,7 +48,6 @@ def frames_of(path):
 
 
 def recorded(folder):
-    """The frames of the only recording in a folder."""
     (path,) = folder.iterdir()
     return frames_of(path)
 

@@ -135,7 +135,6 @@ def test_a_single_frame_has_nothing_to_mark_and_a_live_source_scrolls(window, qt
 
 
 def show_live(qtbot, window, live):
-    """Let three frames come and wait until the strip has them."""
     live.release()
     show_source(qtbot, window, live)
     for count in (2, 3):

@@ -148,7 +148,6 @@ def recording(tmp_path):
 
 
 def open_dialog(window, qtbot, page=None):
-    """Press Ctrl+O, and choose a page."""
     QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
     qtbot.waitUntil(lambda: window.sources.dialog is not None and window.sources.dialog.isVisible())
     dialog = window.sources.dialog

@@ -33,7 +33,6 @@ def tab(qtbot, window, recording):
 
 
 def search(qtbot, tab, trials):
-    """Search all fields by the key of the button, to the end."""
     type_into(tab.trials.lineEdit(), str(trials))
     QTest.keyClick(tab, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
     qtbot.waitUntil(lambda: tab.run.busy)

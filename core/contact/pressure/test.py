@@ -199,8 +199,8 @@ class PressureTest(ContactTest):
             force_mm2=(float(turned[0]), float(turned[1]), float(turned[2])),
             force_sigma_mm2=(float(spread[0]), float(spread[1]), float(spread[2])),
             inflation_pa=section.gauge_pa,
-            # where the curvature has changed, so has the inflation or the tension
-            inflation_sigma_pa=math.hypot(section.gauge_sigma_pa, (now.grown - 1) * section.gauge_pa),
+            # a press makes the free membrane rounder; where it is flatter, there is less inflation or more tension
+            inflation_sigma_pa=math.hypot(section.gauge_sigma_pa, max(1 - now.grown, 0.0) * section.gauge_pa),
             window_m=rest.window * rest.cell_m,
             edge_error_m=edge_error_m,
             curvature_growth=now.grown,
@@ -516,7 +516,10 @@ def _against_free(ratio: Float64Array, sigma: Float64Array) -> tuple[float, Floa
     # contact may be larger than the free membrane, but only lowers the ratio: the highest ratios tell where to begin
     place = int(_FREE_QUANTILE * np.count_nonzero(known))
     grown, scatter = float(np.partition(some[known], place)[place]), 1.0
-    free = known & (np.abs(some - grown) <= _CUT * some_sigma)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        away = (some - grown) / some_sigma
+    more = max(1.0, 1.48 * median(away[known & (away > 0)]))  # times the noise that was measured
+    free = known & (np.abs(away) <= _CUT * more)
     for _ in range(4):
         grown = median(some[free])
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -33,7 +33,6 @@ def take_first(wizard, feed, frames, qtbot):
 
 
 def choose(box, index):
-    """Choose by keys: to the top, then down."""
     box.setFocus()
     QTest.keyClick(box, Qt.Key.Key_Home)
     for _ in range(index):

@@ -78,7 +78,6 @@ def wall(tmp_path, rig):
 
 @pytest.fixture
 def masked(mine):
-    """The preset with a mask for the prints of the wall."""
     save_preset(load_preset(mine).with_values(PRINT_MASK), mine)
     return mine
 

@@ -5,7 +5,6 @@ from tactune.core import ContactPipeline, load_preset, open_source
 
 @pytest.fixture(scope="session")
 def processed():
-    """A frame, its patch and the preset."""
     preset = load_preset("simulator")
     with open_source("sim:cup") as source:
         source.seek(40)

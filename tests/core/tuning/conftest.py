@@ -36,7 +36,6 @@ def recording(make_recording):
 
 @pytest.fixture
 def tolerance_preset(tmp_path):
-    """Write the paper's preset with the tolerance test."""
     path = tmp_path / "tolerance.json"
     save_preset(load_preset("default").with_value("contact_test", "tolerance"), path)
     return path

@@ -74,7 +74,6 @@ def plan_of(*sources):
 
 
 def figures_of(plan, *trials):
-    """Measure trials whose parameters can be used."""
     measured = measure(plan, trials)
     assert not any(failure for _, failure in measured)
     return [figures for figures, _ in measured]

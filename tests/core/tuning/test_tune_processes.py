@@ -93,7 +93,6 @@ def wait_for_the_end_of(session):
 
 
 def living(session):
-    """Return the processes of a session that have not ended."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:

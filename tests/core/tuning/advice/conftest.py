@@ -21,7 +21,6 @@ def scene(name):
 
 @pytest.fixture(scope="session")
 def evidence():
-    """Make evidence from a preset and a simulated scene."""
 
     def make(preset, name="sim:cup?press=medium", *, untouched=True):
         rig, frames, free = scene(name)
