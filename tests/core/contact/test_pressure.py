@@ -284,7 +284,7 @@ def test_a_bubble_that_was_inflated_more_or_less_since_is_no_contact(share):
     assert not len(patch.points)
 
 
-@pytest.mark.parametrize(("radius_m", "counts", "said"), [(0.15, 6, False), (0.25, 0, True)])
+@pytest.mark.parametrize(("radius_m", "counts", "said"), [(0.15, 10, False), (0.25, 0, True)])
 def test_more_noise_than_measured_is_no_contact_and_less_inflation_is_doubted(radius_m, counts, said):
     rig = Rig.of_one_camera(simulator_rig().tactile)
     rest, now = bubble(rig, 0.15), bubble(rig, radius_m)
