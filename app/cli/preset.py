@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -142,19 +141,20 @@ def capture_untouched(
     check_target(preset, str(preset))
     chosen = load_preset(preset)
     with open_with_progress(source, chosen) as opened:
-        captured, recorded = (
-            average_frames(opened),
-            opened.length is not None and not isinstance(opened, SimulatorSource),
-        )
+        captured = average_frames(opened)
+        recorded = opened.length is not None and not isinstance(opened, SimulatorSource)
         # Without a mask prints would count as contact, and some tests compare with the frame before.
         compares, before = chosen.test.needs_untouched, kept_untouched(chosen, preset, opened).frame
         finds = before is not None if compares else chosen.mask.enabled and opened.rig.has_proximity
         if not force and finds:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing)
-            patch = None
-            with suppress(RigMismatchError):  # the frame before is of no use, perhaps flat
+            try:
                 patch = ContactPipeline(chosen, opened.rig, before if compares else None).process(captured.frame)
+            except RigMismatchError:
+                if not compares:
+                    raise
+                patch = None  # the frame before is of no use, perhaps flat
             if patch is not None and len(patch.points):
                 raise CalibrationError(
                     f"the preset finds contact of {patch.area_mm2:,.0f} mm2 on a membrane that should be untouched; "

@@ -327,9 +327,9 @@ class SetUpPanel(QWidget):
         if self._waiting or self._search.busy:
             return "Looking for cameras." if self._info is None else "Looking for the untouched membrane."
         document = self._context.document
-        if following is None and self._of_another_rig():
-            return "This preset was made for another rig. Next: set up again, or open its preset (Ctrl+Shift+O)."
         if following is None:
+            if self._of_another_rig():
+                return "This preset was made for another rig. Next: set up again, or open its preset (Ctrl+Shift+O)."
             judged = "" if document.preset.verdict is None else document.preset.verdict.sentence
             save = "Save the preset; its untouched frame is a second file beside it."
             return f"{judged} {save if document.dirty else 'Next: record and run (Ctrl+3).'}".strip()

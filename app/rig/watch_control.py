@@ -12,7 +12,16 @@ from PyQt6.QtWidgets import QDialog
 
 from ...core.calibration.check import Drift
 from ...core.errors import as_sentence
-from ...core.rig.drift import LOOKS, RigCheck, Watch, WatchReport, check_rig, drift_or_reason
+from ...core.rig.drift import (
+    LOOKS,
+    MembraneDrift,
+    RigCheck,
+    Watch,
+    WatchReport,
+    check_rig,
+    drift_or_reason,
+    remedies_of,
+)
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -50,7 +59,7 @@ class WatchControl(QObject):
         self.first: RigCheck | None = None
         self._watch: Callable[[], Watch] | None = None
         self._key: object = None
-        self._looks, self._failed, self._live = 0, False, False
+        self._looks, self._failed = 0, False
         self.job = Job(self, done=self._tell, failed=self._fail)
         context.frameShown.connect(self._look)
         context.worker.opened.connect(self._forget)
@@ -86,7 +95,7 @@ class WatchControl(QObject):
         key = (untouched, preset.alignment, preset.contact_test, result.source)
         if key != self._key:
             self._forget()
-            self._key, self._looks, self._failed, self._live = key, 0, False, live
+            self._key, self._looks, self._failed = key, 0, False
             self._watch = cache(lambda: Watch(preset, rig, untouched))  # made on the thread of the job
         frame, watch, first = result.frame, self._watch, self.first is None
         time_s = frame.proximity_time_s
@@ -107,6 +116,7 @@ class WatchControl(QObject):
 
     def _tell(self, found: tuple[WatchReport | None, RigCheck | None]) -> None:
         report, first = found
+        result = self._context.result
         messages = self._context.messages
         if first is not None:
             self.first = first
@@ -114,9 +124,9 @@ class WatchControl(QObject):
                 messages.show_message(_KEY, Severity.INFO, first.sentence, subject=SOURCE)
             elif isinstance(first.alignment, Drift) and first.alignment.recalibrate:
                 self._warn(first.alignment.sentence, ("calibrate",))
-            elif first.state == "drifted" and not self._live:
-                two = self._context.document.preset.test.needs_proximity
-                self._warn(first.sentence, ("calibrate", "capture") if two else ("capture",))
+            elif first.state == "drifted" and result is not None and result.source.length is not None:
+                assert isinstance(first.membrane, MembraneDrift)  # a live source gets more looks, and their report
+                self._warn(first.sentence, remedies_of(first.membrane.verdict, result.source.rig))
         if report is None:
             return
         self._context.worker.set_cameras_moved(report.verdict == "camera" and report.state == "told")

@@ -253,6 +253,11 @@ def _judge(
     return "fine", f"The membrane is as in the untouched frame.{unseen}"
 
 
+def remedies_of(verdict: Verdict, rig: Rig) -> tuple[Remedy, ...]:
+    """Return what mends a drift of the membrane: a moved camera of two is calibrated again, too."""
+    return ("calibrate", "capture") if verdict == "camera" and rig.has_proximity else ("capture",)
+
+
 @dataclass(frozen=True)
 class WatchReport:
     """Something that changed, or that is as before again, and when that was decided, by the time of `Watch.look`."""
@@ -305,9 +310,7 @@ class Watch:
         before, self.told = self.told, drift.verdict
         if drift.verdict == "fine":
             return WatchReport(before, "withdrawn", time_s, drift.sentence, ())
-        realign = drift.verdict == "camera" and self._rig.has_proximity
-        remedies: tuple[Remedy, ...] = ("calibrate", "capture") if realign else ("capture",)
-        return WatchReport(drift.verdict, "told", time_s, drift.sentence, remedies)
+        return WatchReport(drift.verdict, "told", time_s, drift.sentence, remedies_of(drift.verdict, self._rig))
 
 
 @dataclass(frozen=True, eq=False)
